@@ -1,0 +1,1 @@
+"""Silhouette scorers. This package knows no particles and no sessions."""

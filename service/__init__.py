@@ -1,0 +1,1 @@
+"""skypose: spacecraft pose from ground-based telescope video, as a service."""

@@ -1,0 +1,1 @@
+"""From bytes to a measurement: decoding, background model, log-ratio map."""

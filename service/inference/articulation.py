@@ -1,0 +1,107 @@
+"""Joints: from joint values to one rigid transform per part.
+
+A joint drives one or more stages; a stage turns (or slides) some parts about an axis fixed at rest. Stages with
+a greater ``depth`` are applied first, so a panel turns on its truss before the truss turns with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from service.inference.pose import rotation_matrices
+from service.inference.state import Array, Poses
+
+Kind = Literal["revolute", "prismatic"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One motion of some parts about (revolute) or along (prismatic) an axis given in the body frame at rest."""
+
+    kind: Kind
+    parts: tuple[str, ...]
+    axis: tuple[float, float, float]  # unit
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # body frame, model units
+    depth: int = 0  # deeper stages are applied first
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A named variable: degrees (revolute) or model units (prismatic)."""
+
+    name: str
+    kind: Kind
+    minimum: float
+    maximum: float
+    initial: float
+    stages: tuple[Stage, ...]
+    period: float | None = None  # the silhouette repeats after this many degrees (360 or less); None: never
+
+
+@dataclass(frozen=True)
+class Articulation:
+    """The parts of a model, and the joints that move them. ``joints`` gives the order of the columns."""
+
+    parts: tuple[str, ...]
+    joints: tuple[Joint, ...] = ()
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints, J."""
+        return len(self.joints)
+
+    @property
+    def initial(self) -> Array:
+        """(J,) values at rest."""
+        return np.array([joint.initial for joint in self.joints], dtype=np.float64)
+
+
+def part_transforms(articulation: Articulation, poses: Poses) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """Project every part of every particle: (N, P, 3, 4) float32, body point at rest -> (x px, y px, depth px).
+
+    The affine camera of the paper: ``scale * (R X) + (x, y, 0)`` with X moved by the joints first.
+    """
+    rotation = rotation_matrices(poses.quaternion)  # (N, 3, 3)
+    scale = np.exp(poses.log_scale)
+    camera = np.zeros((len(poses), 3, 4))
+    camera[:, :, :3] = scale[:, None, None] * rotation
+    camera[:, :2, 3] = poses.position
+    out = np.repeat(camera[:, None], len(articulation.parts), axis=1)
+    for p, motion in enumerate(_part_motions(articulation, poses.joints)):
+        if motion is not None:
+            out[:, p, :, :3] = camera[:, :, :3] @ motion[:, :3, :3]
+            out[:, p, :, 3] = (camera[:, :, :3] @ motion[:, :3, 3:])[:, :, 0] + camera[:, :, 3]
+    return np.ascontiguousarray(out, dtype=np.float32)
+
+
+def _part_motions(articulation: Articulation, values: Array) -> list[Array | None]:
+    """Per part the (N, 4, 4) motion of its joints, or None where nothing moves it."""
+    stages = [(s, j) for j, joint in enumerate(articulation.joints) for s in joint.stages]
+    stages.sort(key=lambda item: -item[0].depth)
+    motions: list[Array | None] = [None] * len(articulation.parts)
+    for stage, j in stages:
+        moved = stage_motion(stage, values[:, j])
+        for p, name in enumerate(articulation.parts):
+            if name in stage.parts:
+                before = motions[p]
+                motions[p] = moved if before is None else moved @ before
+    return motions
+
+
+def stage_motion(stage: Stage, values: Array) -> Array:
+    """(N, 4, 4) rigid motions of a stage at ``values`` (N,) degrees or model units (Rodrigues' formula)."""
+    axis = np.asarray(stage.axis)
+    out = np.tile(np.eye(4), (len(values), 1, 1))
+    if stage.kind == "prismatic":
+        out[:, :3, 3] = values[:, None] * axis
+        return out
+    angle = np.deg2rad(values)[:, None, None]
+    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    rotation = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+    origin = np.asarray(stage.origin)
+    out[:, :3, :3] = rotation
+    out[:, :3, 3] = origin - rotation @ origin
+    return out

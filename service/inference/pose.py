@@ -1,0 +1,119 @@
+"""Geometry of poses: quaternions, rotation vectors, and the tangent coordinates of a pose.
+
+Quaternions are (..., 4) in the order w, x, y, z and mean body -> camera. A rotation is perturbed on the body
+side: ``R exp([v]x)``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from service.inference.state import Array, Poses
+
+
+def rotation_matrices(quaternion: Array) -> Array:
+    """(..., 4) unit quaternions -> (..., 3, 3) matrices."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    m = np.empty((*quaternion.shape[:-1], 3, 3))
+    m[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    m[..., 0, 1] = 2 * (x * y - w * z)
+    m[..., 0, 2] = 2 * (x * z + w * y)
+    m[..., 1, 0] = 2 * (x * y + w * z)
+    m[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    m[..., 1, 2] = 2 * (y * z - w * x)
+    m[..., 2, 0] = 2 * (x * z - w * y)
+    m[..., 2, 1] = 2 * (y * z + w * x)
+    m[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return m
+
+
+def from_matrices(matrices: Array) -> Array:
+    """(..., 3, 3) rotation matrices -> (..., 4) quaternions with w >= 0."""
+    q = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    return np.asarray(q, dtype=np.float64).reshape(*matrices.shape[:-2], 4)
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Hamilton product of (..., 4) quaternions, renormalised."""
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    q = np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True), dtype=np.float64)
+
+
+def conjugate(q: Array) -> Array:
+    """Inverse of (..., 4) unit quaternions."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def exp_so3(vector: Array) -> Array:
+    """Rotation vectors (..., 3) in radians -> quaternions (..., 4)."""
+    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
+
+
+def log_so3(q: Array) -> Array:
+    """Quaternions (..., 4) -> rotation vectors (..., 3) in radians, of length at most pi."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, q[..., :1])
+    ratio = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
+    return np.asarray(ratio * q[..., 1:], dtype=np.float64)
+
+
+def angle_between(a: Array, b: Array) -> Array:
+    """Geodesic angle in radians between quaternions (..., 4)."""
+    dot = np.abs(np.sum(a * b, axis=-1))
+    chord = np.minimum(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+    return np.asarray(np.where(dot < 0.9, 2 * np.arccos(np.clip(dot, 0, 1)), 4 * np.arcsin(chord / 2)))
+
+
+def retract(poses: Poses, delta: Array) -> Poses:
+    """Move N poses by tangent steps (N, 6 + J): body-side rotation (rad), x, y (px), log scale, joints."""
+    return Poses(
+        multiply(poses.quaternion, exp_so3(delta[:, :3])),
+        poses.position + delta[:, 3:5],
+        poses.log_scale + delta[:, 5],
+        poses.joints + delta[:, 6:],
+    )
+
+
+def local(origin: Poses, poses: Poses) -> Array:
+    """Tangent coordinates (N, 6 + J) of ``poses`` seen from ``origin`` (N or 1 poses); inverse of ``retract``."""
+    return np.concatenate(
+        [
+            log_so3(multiply(conjugate(origin.quaternion), poses.quaternion)),
+            poses.position - origin.position,
+            (poses.log_scale - origin.log_scale)[:, None],
+            poses.joints - origin.joints,
+        ],
+        axis=1,
+    )
+
+
+def yaw_pitch_roll_deg(quaternion: Array) -> Array:
+    """(..., 4) -> (..., 3) intrinsic Z-Y'-X'' angles: R = Rz(yaw) Ry(pitch) Rx(roll). For people only."""
+    m = rotation_matrices(quaternion)
+    yaw = np.arctan2(m[..., 1, 0], m[..., 0, 0])
+    pitch = np.arcsin(np.clip(-m[..., 2, 0], -1, 1))
+    roll = np.arctan2(m[..., 2, 1], m[..., 2, 2])
+    return np.rad2deg(np.stack([yaw, pitch, roll], axis=-1))
+
+
+def concatenate(*batches: Poses) -> Poses:
+    """Several batches as one."""
+    return Poses(
+        np.concatenate([b.quaternion for b in batches]),
+        np.concatenate([b.position for b in batches]),
+        np.concatenate([b.log_scale for b in batches]),
+        np.concatenate([b.joints for b in batches]),
+    )

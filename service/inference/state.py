@@ -1,0 +1,130 @@
+"""What the filter carries from frame to frame, and the glossary of symbols used in this package.
+
+=========== =========================================== =====================================================
+symbol      name here                                   meaning
+=========== =========================================== =====================================================
+theta       ``Poses``                                   one pose per particle: rotation, position, scale, joints
+R           ``quaternion``                              rotation body -> camera
+p           ``log_weights``                             log of the normalised particle weights
+D           image                                       the frame
+p(D|b)      background                                  distribution of a pixel that shows empty sky
+p(D|f)      foreground                                  distribution of a pixel that shows the object
+log c       ``log_ratio``                               log p(D|f) - log p(D|b), per pixel (Eq. 3)
+f(theta)    silhouette                                  pixels whose centre the projected object covers
+N, P, J     n_particles, n_parts, n_joints              sizes of the arrays
+d           ``6 + J``                                   tangent coordinates (rx, ry, rz, x, y, log scale, joints)
+=========== =========================================== =====================================================
+
+Equations are those of Bazik, Flewelling, Majji, Mundy, *Bayesian Inference of Spacecraft Pose Using
+Particle Filtering*, AMOS 2018 (arXiv 1906.11182).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STATUSES = ("acquiring", "tracking", "lost", "no_target")
+
+
+@dataclass(frozen=True)
+class Poses:
+    """A batch of N poses (weak perspective, the paper's affine camera).
+
+    A body point X lands at ``exp(log_scale) * (R X)_xy + position`` in pixels; pixel (0, 0)'s outer corner
+    is the origin.
+    """
+
+    quaternion: Array  # (N, 4) w, x, y, z; unit; body -> camera
+    position: Array  # (N, 2) px
+    log_scale: Array  # (N,) log of pixels per model unit
+    joints: Array  # (N, J) degrees (revolute) or model units (prismatic)
+
+    def __len__(self) -> int:
+        return len(self.log_scale)
+
+    def __getitem__(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> Poses:
+        return Poses(self.quaternion[index], self.position[index], self.log_scale[index], self.joints[index])
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """The weighted posterior after a frame, and what the tracker remembers beside it.
+
+    ``memory`` holds small named arrays that a later frame needs (learned foreground, point-spread width,
+    history of the evidence); everything in a state can be written to a file and read back bit for bit.
+    """
+
+    poses: Poses
+    log_weights: Array  # (N,) log of weights that sum to 1
+    rates: Array  # (N, 6 + J) tangent velocity per second
+    frame_index: int  # of the frame this posterior belongs to
+    time_s: float  # of that frame
+    status: str  # one of STATUSES
+    memory: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What one frame says (log of Eq. 2 and Eq. 3)."""
+
+    log_ratio: NDArray[np.float32]  # (H, W) log p(D|f) - log p(D|b) per pixel
+    log_background: float  # sum over the image of log p(D|b) - log p(D)
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """One pose to report."""
+
+    quaternion: Array  # (4,)
+    position: Array  # (2,) px
+    scale: float  # px per model unit
+    joints: Array  # (J,)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Weighted standard deviations and the covariance about a mean pose.
+
+    ``covariance`` is (6 + J, 6 + J) in the order rx, ry, rz (degrees, body-side rotation vector), x, y (px),
+    log scale, joints. ``orientation_deg`` is the weighted RMS geodesic angle.
+    """
+
+    orientation_deg: float
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+    x_px: float
+    y_px: float
+    scale_px: float
+    joints: Array  # (J,)
+    covariance: Array  # (6 + J, 6 + J)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A cluster of the posterior."""
+
+    weight: float
+    pose: PoseEstimate
+    spread: Spread
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a frame's answer holds (Eq. 5 and the posterior's shape)."""
+
+    status: str
+    mean: PoseEstimate
+    best: PoseEstimate
+    best_log_likelihood: float
+    spread: Spread
+    modes: tuple[Mode, ...]
+    n_particles: int
+    ess: float
+    log_evidence: float

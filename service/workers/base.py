@@ -1,0 +1,130 @@
+"""What goes into a worker and what comes out: plain data, so that thread, process and remote actor are alike.
+
+A worker keeps only caches that can be rebuilt, keyed by content hash. A job that names a blob (model file,
+background) which the worker has not seen yet, and which ``blobs`` does not bring, raises ``MissingBlobError``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.articulation import Articulation
+from service.inference.params import SessionConfig
+from service.inference.state import Estimate, FilterState
+
+
+@dataclass(frozen=True)
+class ModelJob:
+    """Prepare a model from an uploaded file."""
+
+    data: bytes
+    file_type: str  # "glb", "obj", "stl", "ply"
+    joints: tuple[Mapping[str, Any], ...] | None = None  # contract form, file coordinates; None: from the file
+
+
+@dataclass(frozen=True)
+class ModelReport:
+    """What was found in a model file. ``articulation`` is in body coordinates."""
+
+    faces: int
+    vertices: int
+    size: tuple[float, float, float]
+    centre: tuple[float, float, float]
+    watertight: bool
+    articulation: Articulation
+    symmetries: tuple[Mapping[str, Any], ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class BackgroundJob:
+    """Learn one more background image (or all frames of a multi-frame file)."""
+
+    config: SessionConfig
+    body: bytes
+    media_type: str
+    background: bytes | None  # what was learned so far (opaque), or None
+    box: tuple[float, float, float, float] | None = None  # x, y, w, h: learn outside of it
+    border_px: float | None = None  # learn from the border only
+
+
+@dataclass(frozen=True)
+class BackgroundReport:
+    """The background after the job: opaque bytes, to be stored and handed back by content hash."""
+
+    background: bytes
+    frames: int
+    height: int
+    width: int
+    channels: int
+    bits: int
+
+
+@dataclass(frozen=True)
+class FrameJob:
+    """Track one frame. ``state`` is None before the first."""
+
+    config: SessionConfig
+    model: str  # key of the model file in ``blobs``
+    file_type: str
+    articulation: Articulation
+    background: str  # key of the background in ``blobs``
+    state: FilterState | None
+    frame_index: int
+    time_s: float  # of this frame, seconds since the epoch or since the first frame
+    body: bytes
+    media_type: str
+    blobs: Mapping[str, bytes] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """The new state, and the answer."""
+
+    state: FilterState
+    estimate: Estimate
+    timing_ms: Mapping[str, float]  # decode, measure, score, total
+    scorer: str
+
+
+@dataclass(frozen=True)
+class OverlayJob:
+    """Draw the best silhouette of an estimate over its frame (the paper's Table 1), as PNG."""
+
+    model: str
+    file_type: str
+    articulation: Articulation
+    body: bytes
+    media_type: str
+    quaternion: NDArray[np.float64]  # (4,)
+    position: NDArray[np.float64]  # (2,)
+    scale: float
+    joints: NDArray[np.float64]  # (J,)
+    blobs: Mapping[str, bytes] = field(default_factory=dict)
+
+
+class Worker(Protocol):
+    """Runs jobs one at a time. Raises ``service.errors.SkyposeError`` for anything the caller should hear."""
+
+    def prepare_model(self, job: ModelJob) -> ModelReport:
+        """Load, check and describe a model file."""
+
+    def learn_background(self, job: BackgroundJob) -> BackgroundReport:
+        """Decode an image and add it to the background."""
+
+    def track(self, job: FrameJob) -> FrameReport:
+        """Decode a frame, measure it, and run one step of the filter."""
+
+    def overlay(self, job: OverlayJob) -> bytes:
+        """PNG of the frame with the silhouette in blue."""
+
+    def describe(self) -> Mapping[str, Any]:
+        """Devices, scorer, versions, for ``/v1/system``."""
+
+    def close(self) -> None:
+        """Release the device."""
