@@ -21,14 +21,128 @@ class FilterParams:
     __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
 
     preset: Literal["balanced", "paper"] = "balanced"
-    """Where every other default comes from. ``paper`` is the published method, nothing else."""
+    """Where every other default comes from. `paper` is the published method, nothing else."""
+    method: Literal["tempered", "bootstrap"] = "tempered"
+    """`bootstrap`: resample, jitter, weigh, once a frame (the paper). `tempered`: approach the frame's likelihood in
+    steps and move the particles after each."""
     particles: int = 1000
     """Particles carried from frame to frame."""
     seed: int = 0
     """Same seed and same frames, same estimates."""
+    resampler: Literal["multinomial", "systematic", "stratified", "residual"] = "systematic"
+    """`multinomial` is the paper's Eq. 6."""
+    target_ess: float = 0.5
+    """Tempering goes on as fast as the effective sample size stays at this share of the particles."""
+    moves: int = 5
+    """Least number of tempering steps with a move in each frame."""
+    acquisition_particles: int = 6000
+    """Rotations that are tried when nothing is known."""
+    acquisition_moves: int = 12
+    """Least number of tempering steps with a move when acquiring."""
 
     def __post_init__(self) -> None:
         _require(1 <= self.particles <= 10_000_000, "particles must be between 1 and 10,000,000")
+        _require(0 <= self.seed < 2**63, "seed must be between 0 and 2^63 - 1")
+        _require(0 < self.target_ess < 1, "target_ess must lie between 0 and 1")
+        _require(1 <= self.moves <= 1000, "moves must be between 1 and 1000")
+        _require(1 <= self.acquisition_moves <= 1000, "acquisition_moves must be between 1 and 1000")
+        _require(
+            1 <= self.acquisition_particles <= 10_000_000,
+            "acquisition_particles must be between 1 and 10,000,000",
+        )
+
+
+@dataclass(frozen=True)
+class LikelihoodParams:
+    """From a frame to its log-ratio map (Eq. 3)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+
+    kind: Literal["contrast", "histogram"] = "contrast"
+    """`histogram`: p(D|b) an empirical histogram, p(D|f) uniform (the paper). `contrast`: the edge is where the
+    object's light falls to half of its local brightness, which a blur does not move."""
+    feature: Literal["auto", "intensity", "colour", "gradient"] = "auto"
+    """What is measured in each pixel; `auto` takes colour where the frames have it."""
+    gradient_sigma_px: float = 1.0
+    """Scale of the derivative image for `gradient`."""
+    exponent: float = 1.0
+    """Power of the likelihood: neighbouring pixels are not independent. 1 is the paper's product over pixels."""
+    covered_empty_nats: float = 1.0
+    """`contrast`: price of one pixel of background under the silhouette."""
+    uncovered_bright_nats: float = 3.0
+    """`contrast`: price of one pixel of light left outside of the silhouette."""
+
+    def __post_init__(self) -> None:
+        _require(0.1 <= self.gradient_sigma_px <= 50, "gradient_sigma_px must be between 0.1 and 50")
+        _require(0 < self.exponent <= 1, "exponent must lie in (0, 1]")
+        _require(0 < self.covered_empty_nats <= 100, "covered_empty_nats must lie in (0, 100]")
+        _require(0 < self.uncovered_bright_nats <= 100, "uncovered_bright_nats must lie in (0, 100]")
+
+
+@dataclass(frozen=True)
+class PriorParams:
+    """Where a pose can be before the first frame (uniform, the paper's bounds)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+
+    min_extent: float = 0.1
+    """The object spans at least this share of the image."""
+    max_extent: float = 1.0
+    """The object spans at most this share of the image."""
+
+    def __post_init__(self) -> None:
+        _require(0 < self.min_extent < self.max_extent <= 10, "0 < min_extent < max_extent <= 10 is required")
+
+
+@dataclass(frozen=True)
+class MotionParams:
+    """How a pose may change between frames; standard deviations per square root of a second."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+
+    kind: Literal["jitter", "constant_velocity"] = "constant_velocity"
+    """`jitter`: a random step (the paper). `constant_velocity`: the rates are estimated and carried on."""
+    rotation_deg: float = 6.0
+    """Rotation, about each axis."""
+    position: float = 0.02
+    """Position, as a share of the image's shorter side."""
+    log_scale: float = 0.03
+    """Scale, as a relative change."""
+    joint_deg: float = 10.0
+    """Revolute joints."""
+    joint_units: float = 0.05
+    """Prismatic joints, as a share of their range."""
+    frame_interval_s: float = 0.1
+    """Assumed between frames that bring no time."""
+
+    def __post_init__(self) -> None:
+        for name in ("rotation_deg", "position", "log_scale", "joint_deg", "joint_units", "frame_interval_s"):
+            _require(0 < getattr(self, name) <= 1e4, f"{name} must lie in (0, 10000]")
+
+
+@dataclass(frozen=True)
+class CameraParams:
+    """What is known of the camera."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+
+    psf_sigma_px: float | None = None
+    """Width of the point spread (Gaussian sigma); estimated from the frames where it is not given."""
+
+    def __post_init__(self) -> None:
+        _require(self.psf_sigma_px is None or 0 < self.psf_sigma_px <= 100, "psf_sigma_px must lie in (0, 100]")
+
+
+@dataclass(frozen=True)
+class JointParams:
+    """Which joints are estimated."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+
+    free: Literal["all"] | tuple[str, ...] = ()
+    """Names of the joints to estimate, or `all`. The others stay at their initial value."""
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    """Values of joints that are known: degrees (revolute) or model units (prismatic)."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +152,29 @@ class SessionConfig:
     __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
 
     filter: FilterParams = field(default_factory=FilterParams)
+    likelihood: LikelihoodParams = field(default_factory=LikelihoodParams)
+    prior: PriorParams = field(default_factory=PriorParams)
+    motion: MotionParams = field(default_factory=MotionParams)
+    camera: CameraParams = field(default_factory=CameraParams)
+    joints: JointParams = field(default_factory=JointParams)
 
 
-def preset_defaults(preset: str) -> Mapping[str, Any]:
-    """Nested plain defaults of a preset, to be overlaid by what a client sends."""
-    raise NotImplementedError(preset)
+_PAPER: Mapping[str, Mapping[str, Any]] = {
+    "filter": {
+        "preset": "paper",
+        "method": "bootstrap",
+        "particles": 3000,
+        "resampler": "multinomial",
+    },
+    "likelihood": {"kind": "histogram", "exponent": 1.0},
+    "motion": {"kind": "jitter"},
+}
+
+
+def preset_defaults(preset: str) -> Mapping[str, Mapping[str, Any]]:
+    """Nested plain defaults of a preset, to be overlaid by what a client sends. Raises ``ValueError``."""
+    if preset == "paper":
+        return _PAPER
+    if preset == "balanced":
+        return {}
+    raise ValueError(f"unknown preset {preset!r}; there are balanced and paper")

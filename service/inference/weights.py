@@ -1,0 +1,51 @@
+"""Weights in the log domain: normalise, effective sample size, tempering."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq
+
+from service.inference.state import Array
+
+
+def log_sum_exp(values: Array) -> float:
+    """log sum exp of (N,) values, exact for any magnitude; -inf when every value is -inf."""
+    top = float(np.max(values))
+    if not np.isfinite(top):
+        return top
+    return top + float(np.log(np.sum(np.exp(values - top))))
+
+
+def normalise(log_weights: Array) -> tuple[Array, float]:
+    """(N,) log weights -> (log weights that sum to 1, log of their sum).
+
+    Raises ``FloatingPointError`` when no weight is positive: an image that no particle explains is a fact about
+    the caller's likelihood (it must have a floor), not something to hide behind uniform weights.
+    """
+    total = log_sum_exp(log_weights)
+    if not np.isfinite(total):
+        raise FloatingPointError(f"the log weights sum to {total}")
+    return log_weights - total, total
+
+
+def effective_sample_size(log_weights: Array) -> float:
+    """1 / sum of squared normalised weights (Kong), between 1 and N."""
+    return float(np.exp(2 * log_sum_exp(log_weights) - log_sum_exp(2 * log_weights)))
+
+
+def next_exponent(log_weights: Array, log_likelihood: Array, exponent: float, last: float, target: float) -> float:
+    """The next tempering exponent beta in (exponent, last].
+
+    The largest one for which the effective sample size, as a share of N, stays at ``target`` after weighing by
+    ``likelihood ** (beta - exponent)`` (Jasra et al. 2011, adaptive tempering).
+    """
+    n = len(log_weights)
+
+    def excess(beta: float) -> float:
+        return effective_sample_size(log_weights + (beta - exponent) * log_likelihood) / n - target
+
+    if excess(last) >= 0:
+        return last
+    if excess(exponent) <= 0:  # the weights already are that uneven: take a small step instead of none
+        return min(last, exponent + 1e-6 + 0.01 * (last - exponent))
+    return float(brentq(excess, exponent, last, rtol=1e-3, xtol=1e-12))
