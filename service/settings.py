@@ -1,0 +1,85 @@
+"""Settings of the process, from the environment (``SKYPOSE_...``). docs/settings.md lists every one.
+
+What a session can choose is not here but in ``service.inference.params``, stored with the session.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+Positive = Annotated[int, Field(ge=1)]
+PositiveSeconds = Annotated[float, Field(gt=0)]
+MEBIBYTE = 1 << 20
+
+
+class Settings(BaseSettings):
+    """Process-wide settings; read once, handed down, never changed."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="SKYPOSE_", frozen=True, extra="forbid", use_attribute_docstrings=True
+    )
+
+    host: str = "127.0.0.1"
+    """Address to listen on."""
+    port: Annotated[int, Field(ge=0, le=65535)] = 8000
+    """Port to listen on; 0 takes a free one."""
+    data_dir: Path = Path("skypose-data")
+    """Where the database lives."""
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    """Least severe log line that is written."""
+    log_format: Literal["json", "text"] = "json"
+    """JSON lines for machines, or text for people."""
+
+    workers: Positive = 1
+    """Tracking processes. Sessions are pinned to one by their id."""
+    worker_timeout_s: PositiveSeconds = 120.0
+    """A worker that does not answer a job for so long is ended and started anew."""
+    worker_start_timeout_s: PositiveSeconds = 120.0
+    """How long a new worker may take until it is ready."""
+
+    session_inbox_frames: Positive = 16
+    """Frames a session holds waiting; one more is answered 429."""
+    max_pending_mb: Positive = 512
+    """Bytes of all waiting frames together, in MiB; more is answered 503."""
+    session_idle_s: PositiveSeconds = 300.0
+    """A session without calls for so long leaves memory until its next call."""
+    max_resident_sessions: Positive = 256
+    """Sessions held in memory; past that the longest idle ones leave."""
+    shutdown_grace_s: PositiveSeconds = 30.0
+    """How long a stop waits for the frames in hand."""
+
+    max_frame_mb: Positive = 64
+    """Body of a frame or background image, in MiB."""
+    max_model_mb: Positive = 64
+    """Body of a model upload, in MiB."""
+    max_checkpoint_mb: Positive = 512
+    """Body of a checkpoint, in MiB."""
+    max_json_kb: Positive = 256
+    """JSON body, in KiB."""
+    max_page: Positive = 1000
+    """Most entries in one page of a list."""
+
+    keep_frame_bodies: Annotated[int, Field(ge=0)] = 1000
+    """Frame files kept per session, newest first, for overlays. 0 keeps none."""
+    keep_particle_sets: Positive = 64
+    """Particle sets kept per session, newest first. The newest is the session's state."""
+    keep_particle_every: Annotated[int, Field(ge=0)] = 16
+    """Beside those, the particle set of every n-th frame is kept. 0 keeps no others."""
+
+    max_streams: Positive = 256
+    """Watchers (WebSocket and event streams) at once; one more is answered 503."""
+    stream_heartbeat_s: PositiveSeconds = 15.0
+    """A silent stream sends a heartbeat so often."""
+    stream_ring_events: Positive = 64
+    """Newest events of a watched session held in memory; older ones are read from the database."""
+    stream_max_lag_events: Positive = 1000
+    """A live watcher further behind than this is told ``resync-required`` and goes on with the newest."""
+    stream_send_timeout_s: PositiveSeconds = 30.0
+    """A watcher that takes nothing for so long is let go."""
+
+    reader_threads: Positive = 4
+    """Threads that read the database."""
