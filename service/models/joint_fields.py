@@ -1,0 +1,70 @@
+"""One joint's fields: checked, with the place of a wrong one named."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import JointError
+from service.inference.articulation import Joint, Kind, Stage
+
+FULL_TURN_DEG = 360.0
+
+
+def refused(field: str, problem: str) -> JointError:
+    """The error for a field such as ``joints[0].axis``."""
+    return JointError(f"{field}: {problem}", field=field)
+
+
+def make_joint(name: str, kind: Kind, bounds: tuple[float, float, float], stages: tuple[Stage, ...]) -> Joint:
+    """A joint with its period: a whole turn, if its range covers one."""
+    low, high, initial = bounds
+    # Only a joint that can turn all the way round may step from one end of its range to the other.
+    period = FULL_TURN_DEG if kind == "revolute" and high - low >= FULL_TURN_DEG else None
+    return Joint(name, kind, low, high, initial, stages, period)
+
+
+def limits(low: float, high: float, initial: float, where: str) -> tuple[float, float, float]:
+    """``(low, high, initial)``, if they are in order. Raises ``JointError``."""
+    if low > high:
+        raise refused(f"{where}.min", f"{low} is above the maximum {high}")
+    if not low <= initial <= high:
+        raise refused(f"{where}.initial", f"{initial} is outside {low} to {high}")
+    return low, high, initial
+
+
+def number(entry: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
+    """A finite number of ``entry``. Raises ``JointError``."""
+    value = entry.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise refused(f"{where}.{key}", "must be a finite number")
+    return float(value)
+
+
+def vector(
+    entry: Mapping[str, Any], key: str, where: str, default: tuple[float, float, float] | None = None
+) -> NDArray[np.float64]:
+    """(3,) finite numbers of ``entry``. Raises ``JointError``."""
+    value = entry.get(key, default)
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
+        raise refused(f"{where}.{key}", "must be three numbers")
+    return np.array([number({key: v}, key, where) for v in value], dtype=np.float64)
+
+
+def triple(vector: NDArray[np.float64]) -> tuple[float, float, float]:
+    """A (3,) array as plain floats."""
+    x, y, z = (float(v) for v in vector)
+    return x, y, z
+
+
+def require_unique_names(joints: Sequence[Joint]) -> None:
+    """Raises ``JointError`` at the second joint of one name."""
+    seen: set[str] = set()
+    for i, joint in enumerate(joints):
+        if joint.name in seen:
+            raise refused(f"joints[{i}].name", f"{joint.name!r} is used twice")
+        seen.add(joint.name)
