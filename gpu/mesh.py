@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.mesh_file import MeshError, RawPart, read_parts
+from gpu.repair import describe_repair, is_watertight, repair
 
-class MeshError(ValueError):
-    """The file is no usable mesh; the message says why."""
+__all__ = ["Mesh", "MeshError", "Part", "assemble", "load_mesh"]
 
 
 @dataclass(frozen=True)
@@ -41,3 +43,38 @@ class Mesh:
     def n_vertices(self) -> int:
         """Vertices over all parts."""
         return sum(len(part.vertices) for part in self.parts)
+
+
+def load_mesh(data: bytes, file_type: str) -> Mesh:
+    """Read, check and repair a mesh file (``glb``, ``obj``, ``stl`` or ``ply``).
+
+    One part per geometry node, in file order, vertices relative to the centre of the bounding box at rest.
+    What was repaired is said in ``warnings``. Raises ``MeshError`` for a file that is no usable mesh.
+    """
+    return assemble(read_parts(data, file_type))
+
+
+def assemble(raw: Sequence[RawPart]) -> Mesh:
+    """Repair parts given in file coordinates and centre them. Raises ``MeshError`` if no face is left."""
+    repaired = [(part.name, *repair(part.vertices, part.faces)) for part in raw]
+    kept = [(name, vertices, faces) for name, vertices, faces, _ in repaired if len(faces)]
+    if not kept:
+        raise MeshError("the mesh has no face with an area")
+    low = np.min([vertices.min(axis=0) for _, vertices, _ in kept], axis=0)
+    high = np.max([vertices.max(axis=0) for _, vertices, _ in kept], axis=0)
+    centre = 0.5 * (low + high)
+    parts = tuple(Part(name, vertices - centre, faces) for name, vertices, faces in kept)
+    radius = max(float(np.linalg.norm(part.vertices, axis=1).max()) for part in parts)
+    return Mesh(
+        parts=parts,
+        centre=_triple(centre),
+        size=_triple(high - low),
+        radius=radius,
+        watertight=all(is_watertight(part.faces) for part in parts),
+        warnings=tuple(w for name, _, _, counts in repaired for w in describe_repair(name, counts)),
+    )
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

@@ -1,0 +1,74 @@
+"""What a GLB's JSON may not do: point outside the file, or build a node tree without an end."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+DEEPEST_NODE = 64
+UNSUPPORTED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+
+
+def check_glb(data: bytes) -> str | None:
+    """What is wrong with the container or its JSON, or None. Geometry is checked after reading."""
+    if len(data) < 20 or data[:4] != b"glTF":
+        return "the magic number is missing"
+    version, length, json_length = struct.unpack_from("<III", data, 4)
+    if version != 2:
+        return f"version {version} is not 2"
+    if length > len(data):
+        return f"truncated: the header says {length} bytes, the file has {len(data)}"
+    if data[16:20] != b"JSON" or 20 + json_length > len(data):
+        return "the first chunk is no complete JSON chunk"
+    try:
+        tree = json.loads(data[20 : 20 + json_length])
+    except (ValueError, RecursionError) as error:
+        return f"the JSON chunk cannot be read: {error}"
+    if not isinstance(tree, dict):
+        return "the JSON chunk is no object"
+    return _foreign_data(tree) or _bad_nodes(tree)
+
+
+def _entries(tree: Mapping[str, Any], key: str) -> Sequence[Mapping[str, Any]]:
+    entries = tree.get(key, [])
+    return [e for e in entries if isinstance(e, dict)] if isinstance(entries, list) else []
+
+
+def _foreign_data(tree: Mapping[str, Any]) -> str | None:
+    for key in ("buffers", "images"):
+        for i, entry in enumerate(_entries(tree, key)):
+            uri = entry.get("uri")
+            if uri is not None and not str(uri).startswith("data:"):
+                return f"{key}[{i}] refers to an external file; only embedded data is read"
+    required = tree.get("extensionsRequired", [])
+    for extension in UNSUPPORTED:
+        if isinstance(required, list) and extension in required:
+            return f"required extension {extension} is not supported; store the mesh uncompressed"
+    return None
+
+
+def _bad_nodes(tree: Mapping[str, Any]) -> str | None:
+    """Every node must be reached once (a forest, as glTF demands) and within ``DEEPEST_NODE`` levels."""
+    nodes = _entries(tree, "nodes")
+    children: list[list[int]] = []
+    parents = [0] * len(nodes)
+    for i, node in enumerate(nodes):
+        below = node.get("children", [])
+        if not isinstance(below, list) or not all(isinstance(c, int) and 0 <= c < len(nodes) for c in below):
+            return f"node {i} names a child that does not exist"
+        children.append(below)
+        for child in below:
+            parents[child] += 1
+    if any(count > 1 for count in parents):
+        return f"node {next(i for i, c in enumerate(parents) if c > 1)} has more than one parent"
+    level = [i for i, count in enumerate(parents) if count == 0]
+    reached, depth = 0, 0
+    while level:
+        depth += 1
+        if depth > DEEPEST_NODE:
+            return f"nodes are nested deeper than {DEEPEST_NODE} levels"
+        reached += len(level)
+        level = [child for i in level for child in children[i]]
+    return None if reached == len(nodes) else "the node tree contains a cycle"

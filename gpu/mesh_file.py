@@ -1,0 +1,92 @@
+"""Bytes of a mesh file -> triangles per node, in file coordinates. Everything a file can lie about is checked here."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from gpu.gltf_check import check_glb
+
+FILE_TYPES = ("glb", "obj", "stl", "ply")
+LARGEST_COORDINATE = 1e12
+
+
+class MeshError(ValueError):
+    """The file is no usable mesh; the message says why."""
+
+
+@dataclass(frozen=True)
+class RawPart:
+    """The triangles of one node, in file coordinates at rest."""
+
+    name: str
+    vertices: NDArray[np.float64]  # (V, 3)
+    faces: NDArray[np.int64]  # (F, 3), all in range
+
+
+def read_parts(data: bytes, file_type: str) -> list[RawPart]:
+    """One part per node that carries triangles, in file order. Raises ``MeshError``, naming what is wrong."""
+    kind = file_type.lower().lstrip(".")
+    if kind not in FILE_TYPES:
+        raise MeshError(f"file type {file_type!r} is not one of {', '.join(FILE_TYPES)}")
+    if not data:
+        raise MeshError("the file is empty")
+    if kind == "glb":
+        problem = check_glb(data)
+        if problem:
+            raise MeshError(f"GLB: {problem}")
+    elif kind == "stl":
+        _check_stl(data)
+    parts = [_checked(name, vertices, faces) for name, vertices, faces in _nodes(_scene(data, kind))]
+    if not any(len(part.faces) for part in parts):
+        raise MeshError("the file has no faces")
+    return parts
+
+
+def _scene(data: bytes, kind: str) -> trimesh.Scene:
+    options = {"merge_primitives": True, "skip_materials": True} if kind == "glb" else {}
+    try:
+        return trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, **options)
+    except Exception as error:  # whatever the parser trips over, the file is at fault
+        raise MeshError(f"cannot be read as {kind.upper()}: {type(error).__name__}: {error}") from error
+
+
+def _nodes(scene: trimesh.Scene) -> list[tuple[str, NDArray[np.float64], NDArray[np.int64]]]:
+    found = []
+    for node in scene.graph.nodes_geometry:
+        matrix, geometry_name = scene.graph[node]
+        geometry = scene.geometry[geometry_name]
+        if not isinstance(geometry, trimesh.Trimesh):
+            continue  # points and lines have no silhouette
+        vertices = np.asarray(geometry.vertices, dtype=np.float64)
+        moved = vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        found.append((str(node), moved, np.asarray(geometry.faces, dtype=np.int64).reshape(-1, 3)))
+    return found
+
+
+def _checked(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> RawPart:
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise MeshError(f"part {name!r}: a face names vertex {faces.max()} of {len(vertices)}")
+    used = vertices[np.unique(faces)]
+    if not np.isfinite(used).all():
+        raise MeshError(f"part {name!r}: a vertex is NaN or infinite")
+    if len(used) and np.abs(used).max() > LARGEST_COORDINATE:
+        raise MeshError(f"part {name!r}: a coordinate exceeds {LARGEST_COORDINATE:g}")
+    return RawPart(name, vertices, faces)
+
+
+def _check_stl(data: bytes) -> None:
+    """A binary STL's face count must agree with its length (84-byte header, 50 bytes a face)."""
+    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2048].lower():
+        return
+    if len(data) < 84:
+        raise MeshError("STL: shorter than its 84-byte header")
+    declared = int(np.frombuffer(data[80:84], dtype="<u4")[0])
+    if len(data) != 84 + 50 * declared:
+        raise MeshError(
+            f"STL: the header declares {declared} faces ({84 + 50 * declared} bytes), the file has {len(data)} bytes"
+        )
