@@ -6,6 +6,7 @@ a greater ``depth`` are applied first, so a panel turns on its truss before the 
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -47,6 +48,7 @@ class Articulation:
 
     parts: tuple[str, ...]
     joints: tuple[Joint, ...] = ()
+    held: tuple[tuple[Joint, float], ...] = ()  # joints that are not estimated, each at its value
 
     @property
     def n_joints(self) -> int:
@@ -57,6 +59,28 @@ class Articulation:
     def initial(self) -> Array:
         """(J,) values at rest."""
         return np.array([joint.initial for joint in self.joints], dtype=np.float64)
+
+
+def hold(articulation: Articulation, free: Literal["all"] | Collection[str], fixed: Mapping[str, float]) -> Articulation:
+    """Keep the joints named in ``free`` as variables; hold the others at ``fixed`` or their initial value.
+
+    Raises ``ValueError`` for a name that is no joint, one that is both free and fixed, or a value out of range.
+    """
+    names = [joint.name for joint in articulation.joints]
+    wanted = [n for n in names if n not in fixed] if free == "all" else list(free)
+    for name in [*wanted, *fixed]:
+        if name not in names:
+            raise ValueError(f"the model has no joint {name!r}; it has {', '.join(names) or 'none'}")
+    for joint in articulation.joints:
+        if joint.name in wanted and joint.name in fixed:
+            raise ValueError(f"joint {joint.name!r} is both free and fixed")
+        if joint.name in fixed and not joint.minimum <= fixed[joint.name] <= joint.maximum:
+            raise ValueError(f"joint {joint.name!r} moves from {joint.minimum:g} to {joint.maximum:g}")
+    return Articulation(
+        articulation.parts,
+        tuple(j for j in articulation.joints if j.name in wanted),
+        tuple((j, float(fixed.get(j.name, j.initial))) for j in articulation.joints if j.name not in wanted),
+    )
 
 
 def part_transforms(articulation: Articulation, poses: Poses) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
@@ -79,11 +103,12 @@ def part_transforms(articulation: Articulation, poses: Poses) -> np.ndarray[tupl
 
 def _part_motions(articulation: Articulation, values: Array) -> list[Array | None]:
     """Per part the (N, 4, 4) motion of its joints, or None where nothing moves it."""
-    stages = [(s, j) for j, joint in enumerate(articulation.joints) for s in joint.stages]
+    stages = [(s, values[:, j]) for j, joint in enumerate(articulation.joints) for s in joint.stages]
+    stages += [(s, np.array([value])) for joint, value in articulation.held for s in joint.stages]
     stages.sort(key=lambda item: -item[0].depth)
     motions: list[Array | None] = [None] * len(articulation.parts)
-    for stage, j in stages:
-        moved = stage_motion(stage, values[:, j])
+    for stage, stage_values in stages:
+        moved = stage_motion(stage, stage_values)
         for p, name in enumerate(articulation.parts):
             if name in stage.parts:
                 before = motions[p]

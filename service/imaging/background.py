@@ -1,0 +1,144 @@
+"""What the sky looks like: learned from frames without the object, or from outside of it.
+
+A ``Background`` is what has been posted (stored, opaque to everybody else); a ``Sky`` is what a worker derives
+from it once and caches.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.imaging.features import FeatureSpec, feature_bins, feature_spec
+
+KEPT_FRAMES = 16  # enough for a per-pixel median that no star survives
+KEPT_BYTES = 64 * 2**20
+FLOOR = 1e-3  # share of the uniform distribution mixed into every histogram: no pixel may rule alone
+
+
+@dataclass(frozen=True)
+class Background:
+    """The most recent background frames, and the histogram of all of them (p(D|b))."""
+
+    frames: NDArray[np.generic]  # (K, H, W, C) uint8 or uint16
+    known: NDArray[np.bool_]  # (H, W) pixels that showed sky
+    counts: NDArray[np.float64]  # (bins,) histogram of the feature over all known pixels
+    n_frames: int
+    bits: int
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Height, width, channels."""
+        h, w, c = self.frames.shape[1:]
+        return h, w, c
+
+    def to_bytes(self) -> bytes:
+        """Deterministic blob; inverse of ``from_bytes``."""
+        out = io.BytesIO()
+        np.savez(
+            out,
+            frames=self.frames,
+            known=self.known,
+            counts=self.counts,
+            meta=np.array([1, self.n_frames, self.bits], dtype=np.int64),
+        )
+        return out.getvalue()
+
+    @staticmethod
+    def from_bytes(blob: bytes) -> Background:
+        """Read a blob made by ``to_bytes``."""
+        with np.load(io.BytesIO(blob), allow_pickle=False) as data:
+            version, n_frames, bits = (int(v) for v in data["meta"])
+            if version != 1:
+                raise ValueError(f"background blob of version {version}, this release reads version 1")
+            return Background(data["frames"], data["known"], data["counts"], n_frames, bits)
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Derived from a background, cached by content."""
+
+    mean: NDArray[np.float32]  # (H, W, C) brightness per pixel
+    sigma: NDArray[np.float32]  # (C,) noise of one pixel
+    log_density: NDArray[np.float64]  # (bins,) log p(D|b) of the feature
+    spec: FeatureSpec
+    known: NDArray[np.bool_]  # (H, W)
+    per_pixel: bool  # whether ``mean`` and ``sigma`` hold for the whole image
+
+
+def learn(
+    background: Background | None, image: NDArray[np.generic], bits: int, spec: FeatureSpec, known: NDArray[np.bool_]
+) -> Background:
+    """Add one image (H, W) or (H, W, C) of which the ``known`` pixels (H, W) show sky."""
+    frame = image[..., None] if image.ndim == 2 else image
+    counts = np.bincount(feature_bins(image, spec)[known], minlength=spec.n_bins).astype(np.float64)
+    if background is None:
+        return Background(frame[None].copy(), known, counts, 1, bits)
+    keep = max(1, min(KEPT_FRAMES, KEPT_BYTES // max(1, frame.nbytes)))
+    frames = np.concatenate([background.frames, frame[None]])[-keep:]
+    return Background(
+        frames, background.known & known, background.counts + counts, background.n_frames + 1, background.bits
+    )
+
+
+def known_pixels(
+    height: int,
+    width: int,
+    box: tuple[float, float, float, float] | None,
+    border_px: float | None,
+) -> NDArray[np.bool_]:
+    """(H, W) which pixels show sky: all, those outside ``box`` (x, y, w, h), or those in the border."""
+    known = np.ones((height, width), dtype=bool)
+    if box is not None:
+        x, y, w, h = box
+        known[max(0, round(y)) : max(0, round(y + h)), max(0, round(x)) : max(0, round(x + w))] = False
+    if border_px is not None:
+        b = max(1, round(border_px))
+        known[b : max(b, height - b), b : max(b, width - b)] = False
+    return known
+
+
+def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sky:
+    """Mean, noise and p(D|b) of a background.
+
+    The mean is the per-pixel median over frames whose own level has been taken out, lightly smoothed while there
+    are few frames; the noise is the median absolute deviation about it, so stars do not count.
+    """
+    h, w, channels = background.shape
+    spec = feature_spec(feature, channels, background.bits, gradient_sigma_px)
+    counts = background.counts
+    density = (1 - FLOOR) * counts / max(1.0, counts.sum()) + FLOOR / spec.n_bins
+    frames = background.frames.astype(np.float32)
+    known = background.known
+    level = np.median(frames[:, known], axis=1)[:, None, None]
+    mean = np.median(frames - level, axis=0)
+    residual = frames - level - mean
+    sigma = 1.4826 * np.median(np.abs(residual[:, known]), axis=(0, 1))
+    if len(frames) < KEPT_FRAMES:
+        smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1)
+        residual = frames - level - smooth
+        sigma = 1.4826 * np.median(np.abs(residual[:, known]), axis=(0, 1))
+        hot = np.abs(mean - smooth) > 6 * np.maximum(sigma, 0.3)
+        mean = np.where(hot, mean, smooth) if len(frames) > 2 else smooth
+    mean = mean + np.median(level, axis=0)
+    return Sky(
+        np.ascontiguousarray(mean, dtype=np.float32),
+        np.maximum(sigma, 0.5).astype(np.float32),  # below half a count quantisation is the noise
+        np.log(density),
+        spec,
+        known,
+        bool(known.all()),
+    )
+
+
+def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Low-pass of one channel in which stars do not leak: outliers are replaced by the coarse level first."""
+    sigma = max(2.0, min(mean.shape) / 40)
+    coarse = cv2.GaussianBlur(mean, (0, 0), sigma)
+    deviation = np.abs(mean - coarse)
+    clean = np.where(deviation > 4 * 1.4826 * np.median(deviation) + 1e-6, coarse, mean)
+    return np.asarray(cv2.GaussianBlur(clean.astype(np.float32), (0, 0), sigma / 2), dtype=np.float32)

@@ -1,0 +1,110 @@
+"""From a frame to a measurement: the map log c (Eq. 3) and the constant of Eq. 2.
+
+Two maps:
+
+``histogram`` is the paper's: log p(D|f) - log p(D|b), p(D|b) empirical, p(D|f) uniform over the sensor's range.
+
+``contrast`` puts the edge where the light falls to half of its local brightness. A point spread moves light over
+the edge, and that light is nothing like sky, so the histogram map makes everything too large; half of the local
+maximum is where the edge was before the blur, for every blur. Each pixel's say is bounded on both sides: parts
+may be unlit (a low price for sky under the silhouette), light must be explained (a higher price for leaving it
+out).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.imaging.background import Sky
+from service.imaging.features import feature_bins
+from service.imaging.psf import estimate_psf_sigma
+
+_DEFAULT_PSF_SIGMA_PX = 1.0
+_DETECTION_SIGMA = 4.0  # of smoothed noise: fainter light is no evidence
+_HALF = 0.5  # share of the local maximum at which a blurred edge stands
+
+
+@dataclass(frozen=True)
+class FrameMaps:
+    """What ``measure`` derives from one frame."""
+
+    log_ratio: NDArray[np.float32]  # (H, W) Eq. 3
+    log_background: float  # Eq. 2's constant: sum of log p(D|b) - log p(D)
+    psf_sigma_px: float | None  # width of the point spread that was used
+
+
+def measure(
+    image: NDArray[np.generic],
+    sky: Sky,
+    *,
+    kind: str,
+    psf_sigma_px: float | None,
+    covered_empty_nats: float,
+    uncovered_bright_nats: float,
+) -> FrameMaps:
+    """Measure a frame (H, W) or (H, W, C) against the sky."""
+    bins = feature_bins(image, sky.spec)
+    log_background = float(np.sum(sky.log_density[bins] - log_total(bins, sky.spec.n_bins)))
+    if kind == "histogram" or not sky.per_pixel:
+        return FrameMaps(histogram_log_ratio(bins, sky), log_background, None)
+    residual = sky_residual(image, sky)
+    if psf_sigma_px is None:
+        psf_sigma_px = estimate_psf_sigma(contrast(residual, sky, 0.0)) or _DEFAULT_PSF_SIGMA_PX
+    log_ratio = contrast_log_ratio(
+        residual,
+        sky,
+        psf_sigma_px=psf_sigma_px,
+        covered_empty_nats=covered_empty_nats,
+        uncovered_bright_nats=uncovered_bright_nats,
+    )
+    return FrameMaps(log_ratio, log_background, psf_sigma_px)
+
+
+def log_total(bins: NDArray[np.intp], n_bins: int) -> NDArray[np.float64]:
+    """(H, W) log p(D): the histogram of the whole image, without segmentation, looked up at each pixel."""
+    counts = np.bincount(bins.ravel(), minlength=n_bins)
+    return np.asarray(np.log(counts[bins] / bins.size))
+
+
+def histogram_log_ratio(bins: NDArray[np.intp], sky: Sky) -> NDArray[np.float32]:
+    """(H, W) log c = log p(D|f) - log p(D|b) with p(D|f) = 1 / n_bins (Eq. 3)."""
+    return np.asarray(-np.log(sky.spec.n_bins) - sky.log_density[bins], dtype=np.float32)
+
+
+def sky_residual(image: NDArray[np.generic], sky: Sky) -> NDArray[np.float32]:
+    """(H, W, C) frame minus sky, the frame's own change of level taken out (median over the image)."""
+    frame = (image[..., None] if image.ndim == 2 else image).astype(np.float32)
+    residual = frame - sky.mean
+    return np.asarray(residual - np.median(residual, axis=(0, 1)), dtype=np.float32)
+
+
+def contrast(residual: NDArray[np.float32], sky: Sky, smooth_px: float) -> NDArray[np.float32]:
+    """(H, W) distance from the sky in units of one pixel's noise, over all channels, after a Gaussian."""
+    if smooth_px > 0:
+        residual = cv2.GaussianBlur(residual, (0, 0), smooth_px).reshape(residual.shape)
+    z = residual / sky.sigma
+    return np.asarray(np.sqrt(np.sum(z * z, axis=2)), dtype=np.float32)
+
+
+def contrast_log_ratio(
+    residual: NDArray[np.float32],
+    sky: Sky,
+    *,
+    psf_sigma_px: float,
+    covered_empty_nats: float,
+    uncovered_bright_nats: float,
+) -> NDArray[np.float32]:
+    """(H, W) bounded log-ratio that changes sign where the light is half of its local maximum."""
+    smooth = max(0.5, 0.7 * psf_sigma_px)
+    s = contrast(residual, sky, smooth)
+    noise = float(np.sqrt(residual.shape[2] / np.pi) / (2 * smooth))  # of a pixel after the Gaussian
+    reach = 2 * int(np.ceil(2.5 * psf_sigma_px)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+    bright = cv2.GaussianBlur(cv2.dilate(s, disc), (0, 0), max(psf_sigma_px, 0.5))
+    threshold = np.maximum(_HALF * bright, _DETECTION_SIGMA * noise)
+    softness = np.maximum(0.075 * bright, 0.75 * noise)
+    return np.clip((s - threshold) / softness, -covered_empty_nats, uncovered_bright_nats)

@@ -1,0 +1,122 @@
+"""What is reported: the mean (Eq. 5), the spread about it, and the modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.inference.modes import cluster
+from service.inference.pose import local, log_so3, multiply, conjugate, exp_so3, yaw_pitch_roll_deg
+from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses, Spread
+from service.inference.weights import effective_sample_size
+
+LEFT_OUT = 0.01  # modes that hold less than this share together are not listed
+
+
+def mean_rotation(quaternion: Array, weights: Array) -> Array:
+    """(4,) weighted mean on SO(3): minimises the weighted sum of squared geodesic angles (Karcher).
+
+    Starts from the chordal mean (Markley et al. 2007), which is unique where the weights are not spread evenly.
+    """
+    moment = np.einsum("n,ni,nj->ij", weights, quaternion, quaternion)
+    mean = np.linalg.eigh(moment)[1][:, -1]
+    for _ in range(10):
+        step = weights @ log_so3(multiply(conjugate(mean), quaternion))
+        mean = multiply(mean, exp_so3(step))
+        if float(step @ step) < 1e-20:
+            break
+    return mean if mean[0] >= 0 else -mean
+
+
+def mean_pose(poses: Poses, weights: Array, wrapping: np.ndarray) -> Poses:
+    """Eq. 5: the expected pose, as a batch of one. Rotations and full-turn joints are averaged on their circles."""
+    joints = weights @ poses.joints
+    if np.any(wrapping):
+        angle = np.deg2rad(poses.joints)
+        circular = np.rad2deg(np.arctan2(weights @ np.sin(angle), weights @ np.cos(angle)))
+        joints = np.where(wrapping, circular, joints)
+    return Poses(
+        mean_rotation(poses.quaternion, weights)[None],
+        (weights @ poses.position)[None],
+        np.array([np.log(weights @ np.exp(poses.log_scale))]),
+        joints[None],
+    )
+
+
+def tangent(origin: Poses, poses: Poses, wrapping: np.ndarray) -> Array:
+    """(N, 6 + J) tangent coordinates with joint differences of full-turn joints taken the short way round."""
+    x = local(origin, poses)
+    if np.any(wrapping):
+        x[:, 6:] = np.where(wrapping, np.mod(x[:, 6:] + 180.0, 360.0) - 180.0, x[:, 6:])
+    return x
+
+
+def spread(poses: Poses, weights: Array, mean: Poses, wrapping: np.ndarray) -> Spread:
+    """Weighted second moments about ``mean``."""
+    x = tangent(mean, poses, wrapping)
+    x[:, :3] = np.rad2deg(x[:, :3])
+    covariance = np.einsum("n,ni,nj->ij", weights, x, x)
+    turns = yaw_pitch_roll_deg(poses.quaternion) - yaw_pitch_roll_deg(mean.quaternion)
+    turns = np.mod(turns + 180.0, 360.0) - 180.0
+    euler = np.sqrt(weights @ turns**2)
+    deviation = np.sqrt(np.diag(covariance))
+    return Spread(
+        orientation_deg=float(np.sqrt(np.trace(covariance[:3, :3]))),
+        yaw_deg=float(euler[0]),
+        pitch_deg=float(euler[1]),
+        roll_deg=float(euler[2]),
+        x_px=float(deviation[3]),
+        y_px=float(deviation[4]),
+        scale_px=float(np.sqrt(weights @ (np.exp(poses.log_scale) - np.exp(mean.log_scale)) ** 2)),
+        joints=deviation[6:],
+        covariance=covariance,
+    )
+
+
+def report(pose: Poses) -> PoseEstimate:
+    """A batch of one, as a pose to show (w >= 0)."""
+    q = pose.quaternion[0]
+    return PoseEstimate(q if q[0] >= 0 else -q, pose.position[0], float(np.exp(pose.log_scale[0])), pose.joints[0])
+
+
+def summarise(
+    poses: Poses,
+    log_weights: Array,
+    log_likelihood: Array,
+    *,
+    status: str,
+    log_evidence: float,
+    joint_radius: Array,
+    wrapping: np.ndarray,
+) -> Estimate:
+    """Everything that a frame's answer says of the posterior."""
+    weights = np.exp(log_weights)
+    mean = mean_pose(poses, weights, wrapping)
+    best = int(np.argmax(log_likelihood))
+    return Estimate(
+        status=status,
+        mean=report(mean),
+        best=report(poses[best : best + 1]),
+        best_log_likelihood=float(log_likelihood[best]),
+        spread=spread(poses, weights, mean, wrapping),
+        modes=find_modes(poses, weights, log_likelihood, joint_radius, wrapping),
+        n_particles=len(weights),
+        ess=effective_sample_size(log_weights),
+        log_evidence=log_evidence,
+    )
+
+
+def find_modes(
+    poses: Poses, weights: Array, log_likelihood: Array, joint_radius: Array, wrapping: np.ndarray
+) -> tuple[Mode, ...]:
+    """Clusters with their weight, mean and spread, heaviest first, until all but ``LEFT_OUT`` is told."""
+    labels = cluster(poses, log_likelihood, joint_radius)
+    share = np.bincount(labels, weights=weights)
+    modes: list[Mode] = []
+    for k in np.argsort(-share):
+        members = np.flatnonzero(labels == k)
+        if modes and sum(m.weight for m in modes) > 1 - LEFT_OUT:
+            break
+        inner = weights[members] / share[k]
+        mean = mean_pose(poses[members], inner, wrapping)
+        modes.append(Mode(float(share[k]), report(mean), spread(poses[members], inner, mean, wrapping)))
+    return tuple(modes)

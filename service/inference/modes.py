@@ -1,0 +1,45 @@
+"""Clusters of the posterior on the manifold of poses."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.pose import angle_between
+from service.inference.state import Array, Poses
+
+Labels = NDArray[np.intp]
+
+CLUSTER_RADIUS_DEG = 15.0
+JOINT_RADIUS = 30.0  # degrees; two joint values further apart than this are two answers
+MAX_CLUSTERS = 32
+
+
+def distance(poses: Poses, seed: Poses, joint_radius: Array) -> Array:
+    """(N,) distance of poses from one pose, in cluster radii: rotation and joints, the slow directions."""
+    angle = np.rad2deg(angle_between(poses.quaternion, seed.quaternion)) / CLUSTER_RADIUS_DEG
+    if poses.joints.shape[1] == 0:
+        return angle
+    gap = np.abs(poses.joints - seed.joints) / joint_radius
+    return np.asarray(np.maximum(angle, np.max(gap, axis=1)))
+
+
+def cluster(poses: Poses, priority: Array, joint_radius: Array) -> Labels:
+    """Label each pose by the cluster it belongs to, 0 for the one around the pose of highest priority.
+
+    Greedy: the best pose not yet taken opens a cluster and takes all within one radius; each pose then joins the
+    nearest opening pose. At most ``MAX_CLUSTERS``; what remains joins the nearest.
+    """
+    n = len(poses)
+    nearest = np.full(n, np.inf)
+    labels = np.zeros(n, dtype=np.intp)
+    for k in range(MAX_CLUSTERS):
+        open_ = nearest > 1.0
+        if not np.any(open_):
+            break
+        seed = int(np.argmax(np.where(open_, priority, -np.inf)))
+        gap = distance(poses, poses[seed : seed + 1], joint_radius)
+        closer = gap < nearest
+        labels[closer] = k
+        nearest[closer] = gap[closer]
+    return labels

@@ -1,0 +1,125 @@
+"""One update of the filter: a frame's measurement in, the weighted posterior out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.domain import Domain, sample_prior
+from service.inference.estimate import summarise
+from service.inference.motion import diffusion, propagate
+from service.inference.params import SessionConfig
+from service.inference.resample import RESAMPLERS
+from service.inference.state import Array, Estimate, FilterState, Measurement, Poses
+from service.inference.tracking import Outcome, tempered_update
+from service.inference.weights import normalise
+
+ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
+
+JOINT_RADIUS_DEG = 30.0
+JOINT_RADIUS_SHARE = 0.15  # of a prismatic joint's range
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame as the filter sees it."""
+
+    index: int
+    time_s: float
+    measurement: Measurement
+
+
+def step(
+    rng: np.random.Generator,
+    state: FilterState | None,
+    frame: Frame,
+    score_maps: ScoreMaps,
+    config: SessionConfig,
+    domain: Domain,
+) -> tuple[FilterState, Estimate]:
+    """Update ``state`` (None before the first frame) by one frame.
+
+    ``score_maps(poses, maps)`` sums each of (K, H, W) maps under each silhouette: (N, K), the per-particle term of
+    Eq. 4 when the map is log c.
+    """
+    log_ratio = frame.measurement.log_ratio[None]
+
+    def score(poses: Poses) -> Array:
+        return score_maps(poses, log_ratio)[:, 0]
+
+    if config.filter.method == "bootstrap":
+        outcome = bootstrap_update(rng, state, frame, score, config, domain)
+    else:
+        outcome = tempered_update(rng, state, frame, score_maps, config, domain, joint_radius(domain))
+    estimate = summarise(
+        outcome.poses,
+        outcome.log_weights,
+        outcome.log_likelihood + frame.measurement.log_background,
+        status=outcome.status,
+        log_evidence=outcome.log_evidence + frame.measurement.log_background,
+        joint_radius=joint_radius(domain),
+        wrapping=domain.wrapping,
+    )
+    new_state = FilterState(
+        outcome.poses, outcome.log_weights, outcome.rates, frame.index, frame.time_s, outcome.status, outcome.memory
+    )
+    return new_state, estimate
+
+
+def bootstrap_update(
+    rng: np.random.Generator,
+    state: FilterState | None,
+    frame: Frame,
+    score: Callable[[Poses], Array],
+    config: SessionConfig,
+    domain: Domain,
+) -> Outcome:
+    """The paper's filter: resample (Eq. 6), move each particle by a random jitter, weigh by the likelihood (Eq. 4).
+
+    Before the first frame the particles are drawn from the uniform prior. A jitter that would leave the prior's
+    bounds is not made.
+    """
+    count = config.filter.particles
+    if state is None:
+        poses = sample_prior(rng, domain, count)
+    else:
+        ancestors = RESAMPLERS[config.filter.resampler](rng, state.log_weights, count)
+        before = state.poses[ancestors]
+        dt_s = max(frame.time_s - state.time_s, 0.0)
+        moved = domain.wrap(propagate(rng, before, diffusion(config.motion, domain) * np.sqrt(dt_s)))
+        poses = where(domain.contains(moved), moved, before)
+    log_likelihood = score(poses)
+    log_weights, total = normalise(config.likelihood.exponent * log_likelihood)
+    return Outcome(
+        poses=poses,
+        log_weights=log_weights,
+        log_likelihood=log_likelihood,
+        rates=np.zeros((count, domain.n_tangent)),
+        status="tracking" if float(np.max(log_likelihood)) > 0 else "no_target",
+        log_evidence=total - float(np.log(count)),
+        memory={},
+    )
+
+
+def where(condition: NDArray[np.bool_], a: Poses, b: Poses) -> Poses:
+    """Per particle: ``a`` where the condition holds, else ``b``."""
+    c = condition[:, None]
+    return Poses(
+        np.where(c, a.quaternion, b.quaternion),
+        np.where(c, a.position, b.position),
+        np.where(condition, a.log_scale, b.log_scale),
+        np.where(c, a.joints, b.joints),
+    )
+
+
+def joint_radius(domain: Domain) -> Array:
+    """(J,) how far two joint values of one mode may be apart."""
+    return np.array(
+        [
+            JOINT_RADIUS_DEG if joint.kind == "revolute" else JOINT_RADIUS_SHARE * (joint.maximum - joint.minimum)
+            for joint in domain.articulation.joints
+        ]
+    )

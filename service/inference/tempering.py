@@ -1,0 +1,142 @@
+"""A frame's likelihood approached in steps: reweigh, resample, move (Del Moral, Doucet, Jasra 2006).
+
+With L^beta for beta from 0 to the likelihood's exponent, each step as large as the effective sample size allows,
+the particles are drawn towards the peak instead of one of them being picked by luck. Moves are Metropolis steps
+whose covariance is that of the particle's own cluster, so they shrink with the population and never mix modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.inference.modes import Labels, cluster
+from service.inference.pose import local, retract
+from service.inference.resample import RESAMPLERS
+from service.inference.state import Array, Poses
+from service.inference.weights import log_sum_exp, next_exponent
+
+Score = Callable[[Poses], Array]
+
+
+@dataclass(frozen=True)
+class Population:
+    """Particles with what is known of each: its likelihood and its place in the prediction."""
+
+    poses: Poses
+    log_likelihood: Array  # (N,) log of Eq. 4's particle term
+    centre: Poses | None  # prediction each particle was drawn around; None: the prior is flat
+    rates: Array  # (N, 6 + J) carried along
+
+    def __getitem__(self, index: np.ndarray) -> Population:
+        centre = None if self.centre is None else self.centre[index]
+        return Population(self.poses[index], self.log_likelihood[index], centre, self.rates[index])
+
+
+@dataclass(frozen=True)
+class Tempering:
+    """How to approach the likelihood."""
+
+    exponent: float  # where beta ends
+    target_ess: float
+    moves: int  # least number of steps
+    resampler: str
+    deviation: Array  # (6 + J,) of the prediction; also the greatest standard deviation of a move
+    joint_radius: Array  # (J,)
+
+
+def temper(
+    rng: np.random.Generator,
+    population: Population,
+    score: Score,
+    inside: Callable[[Poses], np.ndarray],
+    plan: Tempering,
+    count: int,
+) -> tuple[Population, float, int]:
+    """Run the steps; returns ``count`` equally weighted particles, the log evidence and the number of moves."""
+    beta, log_evidence, step = 0.0, 0.0, 0
+    while beta < plan.exponent or step < plan.moves:
+        n = len(population.log_likelihood)
+        uniform = np.full(n, -np.log(n))
+        new_beta = next_exponent(uniform, population.log_likelihood, beta, plan.exponent, plan.target_ess)
+        log_weights = uniform + (new_beta - beta) * population.log_likelihood
+        log_evidence += log_sum_exp(log_weights)
+        beta = new_beta
+        population = population[RESAMPLERS[plan.resampler](rng, log_weights, count)]
+        population = move(rng, population, score, inside, plan, beta)
+        step += 1
+    return population, log_evidence, step
+
+
+def move(
+    rng: np.random.Generator,
+    population: Population,
+    score: Score,
+    inside: Callable[[Poses], np.ndarray],
+    plan: Tempering,
+    beta: float,
+) -> Population:
+    """One Metropolis step for every particle; leaves prior x L^beta unchanged."""
+    poses = population.poses
+    n, d = len(poses), len(plan.deviation)
+    labels = cluster(poses, population.log_likelihood, plan.joint_radius)
+    factors = cluster_factors(poses, labels, plan.deviation)
+    stride = 2.38 / np.sqrt(d) * np.exp(0.7 * rng.standard_normal((n, 1)) - 0.5)
+    z = rng.standard_normal((n, d)) * stride
+    proposal = retract(poses, np.einsum("nij,nj->ni", factors[labels], z))
+    log_likelihood = np.where(inside(proposal), score(proposal), -np.inf)
+    log_ratio = beta * (log_likelihood - population.log_likelihood)
+    if population.centre is not None:
+        log_ratio += log_prediction(population.centre, proposal, plan.deviation)
+        log_ratio -= log_prediction(population.centre, poses, plan.deviation)
+    accept = np.log(rng.random(n)) < log_ratio
+    pick = [np.where(accept.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in _pairs(proposal, poses)]
+    chosen = np.where(accept, log_likelihood, population.log_likelihood)
+    return Population(Poses(*pick), chosen, population.centre, population.rates)
+
+
+def _pairs(a: Poses, b: Poses) -> list[tuple[Array, Array]]:
+    return [
+        (a.quaternion, b.quaternion),
+        (a.position, b.position),
+        (a.log_scale, b.log_scale),
+        (a.joints, b.joints),
+    ]
+
+
+def log_prediction(centre: Poses, poses: Poses, deviation: Array) -> Array:
+    """(N,) log density (up to a constant) of poses about their predictions."""
+    z = local(centre, poses) / deviation
+    return np.asarray(-0.5 * np.sum(z * z, axis=1))
+
+
+def cluster_factors(poses: Poses, labels: Labels, deviation: Array) -> Array:
+    """(K, d, d) factor A of each cluster's covariance A A^T in tangent coordinates.
+
+    A cluster of few particles has no covariance of its own: it is shrunk towards the pooled one.
+    """
+    d = len(deviation)
+    n_clusters = int(labels.max()) + 1
+    spreads, counts = [], []
+    for k in range(n_clusters):
+        members = np.flatnonzero(labels == k)
+        counts.append(len(members))
+        spreads.append(_spread_about(poses[members], poses[members[:1]]))
+    pooled = np.einsum("k,kij->ij", np.array(counts, dtype=float), np.array(spreads)) / max(1, sum(counts))
+    factors = np.empty((n_clusters, d, d))
+    floor = np.diag((1e-4 * deviation) ** 2)
+    for k in range(n_clusters):
+        share = counts[k] / (counts[k] + 2.0 * d)
+        covariance = share * spreads[k] + (1 - share) * pooled + floor
+        limit = np.minimum(1.0, deviation / np.sqrt(np.diag(covariance)))
+        factors[k] = np.linalg.cholesky(covariance * np.outer(limit, limit))
+    return factors
+
+
+def _spread_about(poses: Poses, origin: Poses) -> Array:
+    """(d, d) covariance of poses in the tangent space at ``origin``."""
+    x = local(origin, poses)
+    x = x - x.mean(axis=0)
+    return np.asarray(x.T @ x / max(1, len(x) - 1))

@@ -1,0 +1,234 @@
+"""The worker itself: decode, measure, step. One process, one device; every cache can be rebuilt.
+
+Runs in whatever transport holds it. A frame is a pure function of its job: the generator is Philox keyed by the
+session's seed and the frame's index, so a retry, a restart and another worker give the same answer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import version
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpu.device import find_devices
+from gpu.mesh import Mesh, MeshError, load_mesh
+from gpu.reference import silhouette_mask
+from gpu.scorer import Scorer, open_scorer
+from service.errors import ConfigError, ImageMismatchError, MeshFileError, MissingBlobError
+from service.imaging.background import Background, Sky, derive, known_pixels, learn
+from service.imaging.decode import Frame as Image
+from service.imaging.decode import decode_frame, decode_frames
+from service.imaging.features import feature_spec
+from service.imaging.measurement import measure
+from service.imaging.overlay import draw_overlay, encode_png
+from service.inference.articulation import Articulation, hold, part_transforms
+from service.inference.domain import Domain
+from service.inference.params import SessionConfig
+from service.inference.state import Array, Measurement, Poses
+from service.inference.step import Frame, step
+from service.models.articulations import read_joints
+from service.workers.base import (
+    BackgroundJob,
+    BackgroundReport,
+    FrameJob,
+    FrameReport,
+    ModelJob,
+    ModelReport,
+    OverlayJob,
+)
+
+V = TypeVar("V")
+PACKAGES = ("skypose", "numpy", "scipy", "pyopencl", "moderngl", "trimesh", "opencv-python-headless", "fastapi")
+
+
+class Cache(Generic[V]):
+    """The last few values by content key; what leaves is released."""
+
+    def __init__(self, size: int, release: Callable[[V], None] = lambda value: None) -> None:
+        self._values: OrderedDict[str, V] = OrderedDict()
+        self._size, self._release = size, release
+
+    def get(self, key: str, make: Callable[[], V]) -> V:
+        """The value of ``key``, made when it is not there."""
+        if key not in self._values:
+            value = make()
+            self._values[key] = value
+            if len(self._values) > self._size:
+                self._release(self._values.popitem(last=False)[1])
+        self._values.move_to_end(key)
+        return self._values[key]
+
+    def clear(self) -> None:
+        """Release everything."""
+        for value in self._values.values():
+            self._release(value)
+        self._values.clear()
+
+
+class Tracker:
+    """Implements ``service.workers.base.Worker``."""
+
+    def __init__(self, *, backend: str = "auto", max_pixels: int = 1 << 26, cached_models: int = 8) -> None:
+        self._backend, self._max_pixels = backend, max_pixels
+        self._meshes: Cache[Mesh] = Cache(cached_models)
+        self._scorers: Cache[Scorer] = Cache(cached_models, lambda scorer: scorer.close())
+        self._skies: Cache[Sky] = Cache(cached_models)
+
+    def prepare_model(self, job: ModelJob) -> ModelReport:
+        """Load, check and describe a model file."""
+        mesh = _load(job.data, job.file_type)
+        found = read_joints(job.data, job.file_type, mesh, job.joints)
+        return ModelReport(
+            faces=mesh.n_faces,
+            vertices=mesh.n_vertices,
+            size=mesh.size,
+            centre=mesh.centre,
+            watertight=mesh.watertight,
+            articulation=found.articulation,
+            warnings=(*mesh.warnings, *found.warnings),
+        )
+
+    def learn_background(self, job: BackgroundJob) -> BackgroundReport:
+        """Decode an image, or every frame of a file, and add it to the background."""
+        background = None if job.background is None else Background.from_bytes(job.background)
+        for image in decode_frames(job.body, job.media_type, max_pixels=self._max_pixels):
+            if background is not None:
+                _require_same(image, background.shape, background.bits)
+            height, width = image.image.shape[:2]
+            likelihood = job.config.likelihood
+            spec = feature_spec(likelihood.feature, image.channels, image.bits, likelihood.gradient_sigma_px)
+            known = known_pixels(height, width, job.box, job.border_px)
+            if not known.any():
+                raise ConfigError("no pixel is left to learn the background from", field="query:box")
+            background = learn(background, image.image, image.bits, spec, known)
+        assert background is not None, "decode_frames yields at least one frame"
+        height, width, channels = background.shape
+        return BackgroundReport(
+            background.to_bytes(), background.n_frames, height, width, channels, background.bits
+        )
+
+    def track(self, job: FrameJob) -> FrameReport:
+        """Decode a frame, measure it, and run one step of the filter."""
+        began = time.perf_counter()
+        image = decode_frame(job.body, job.media_type, max_pixels=self._max_pixels)
+        likelihood = job.config.likelihood
+        key = f"{job.background}:{likelihood.feature}:{likelihood.gradient_sigma_px}"
+        sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
+        _require_same(image, sky.mean.shape, sky.spec.bits)
+        decoded = time.perf_counter()
+        maps = measure(
+            image.image,
+            sky,
+            kind=likelihood.kind,
+            psf_sigma_px=job.config.camera.psf_sigma_px,
+            covered_empty_nats=likelihood.covered_empty_nats,
+            uncovered_bright_nats=likelihood.uncovered_bright_nats,
+        )
+        maps.log_ratio.flags.writeable = False
+        measured = time.perf_counter()
+        articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
+        mesh = self._mesh(job.model, job.file_type, job.blobs)
+        scorer = self._scorers.get(job.model, lambda: open_scorer(mesh, backend=self._backend))
+        timed = TimedScorer(scorer, articulation)
+        height, width = image.image.shape[:2]
+        state, estimate = step(
+            np.random.Generator(np.random.Philox(key=np.array([job.config.filter.seed, job.frame_index], np.uint64))),
+            job.state,
+            Frame(job.frame_index, job.time_s, Measurement(maps.log_ratio, maps.log_background)),
+            timed,
+            job.config,
+            Domain(width, height, mesh.radius, articulation, job.config.prior),
+        )
+        done = time.perf_counter()
+        timing = {
+            "decode": decoded - began,
+            "measure": measured - decoded,
+            "score": timed.seconds,
+            "step": done - measured,
+            "total": done - began,
+        }
+        return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scorer.name)
+
+    def overlay(self, job: OverlayJob) -> bytes:
+        """PNG of the frame with the silhouette in blue."""
+        image = decode_frame(job.body, job.media_type, max_pixels=self._max_pixels)
+        mesh = self._mesh(job.model, job.file_type, job.blobs)
+        pose = Poses(
+            job.quaternion[None], job.position[None], np.array([np.log(job.scale)]), np.asarray(job.joints)[None]
+        )
+        height, width = image.image.shape[:2]
+        mask = silhouette_mask(mesh, part_transforms(job.articulation, pose)[0], (height, width))
+        return encode_png(draw_overlay(image.image, mask))
+
+    def describe(self) -> Mapping[str, Any]:
+        """Devices, scorer backend and versions."""
+        return {
+            "backend": self._backend,
+            "devices": [report.describe() for report in find_devices()],
+            "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        }
+
+    def close(self) -> None:
+        """Release the device."""
+        self._scorers.clear()
+        self._meshes.clear()
+        self._skies.clear()
+
+    def _mesh(self, key: str, file_type: str, blobs: Mapping[str, bytes]) -> Mesh:
+        return self._meshes.get(key, lambda: _load(_blob(blobs, key), file_type))
+
+
+class TimedScorer:
+    """``score_maps`` of ``inference.step`` over a scorer, with the time it took."""
+
+    def __init__(self, scorer: Scorer, articulation: Articulation) -> None:
+        self._scorer, self._articulation = scorer, articulation
+        self.seconds = 0.0
+
+    def __call__(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
+        """(N poses, (K, H, W) maps) -> (N, K)."""
+        transforms = part_transforms(self._articulation, poses)
+        began = time.perf_counter()
+        scores = self._scorer.score_many(transforms, maps)
+        self.seconds += time.perf_counter() - began
+        return scores
+
+
+def content_key(data: bytes) -> str:
+    """SHA-256 in hexadecimal: how blobs are named."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def _blob(blobs: Mapping[str, bytes], key: str) -> bytes:
+    if key not in blobs:
+        raise MissingBlobError([key])
+    return blobs[key]
+
+
+def _load(data: bytes, file_type: str) -> Mesh:
+    try:
+        return load_mesh(data, file_type)
+    except MeshError as error:
+        raise MeshFileError(str(error), field="file") from error
+
+
+def _sky(config: SessionConfig, blob: bytes) -> Sky:
+    return derive(Background.from_bytes(blob), config.likelihood.feature, config.likelihood.gradient_sigma_px)
+
+
+def _require_same(image: Image, shape: Iterable[int], bits: int) -> None:
+    expected = (*shape, bits)
+    found = (*image.image.shape[:2], image.channels, image.bits)
+    if found != expected:
+        raise ImageMismatchError(
+            "the image is {1} x {0} with {2} channel(s) of {3} bits, ".format(*found)
+            + "the background {1} x {0} with {2} channel(s) of {3} bits".format(*expected),
+            field="body",
+        )
