@@ -1,7 +1,8 @@
 """What goes into a worker and what comes out: plain data, so that thread, process and remote actor are alike.
 
 A worker keeps only caches that can be rebuilt, keyed by content hash. A job that names a blob (model file,
-background) which the worker has not seen yet, and which ``blobs`` does not bring, raises ``MissingBlobError``.
+background) which the worker has not seen yet, and which ``blobs`` does not bring, raises
+``MissingBlobError``.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ class ModelJob:
 
     data: bytes
     file_type: str  # "glb", "obj", "stl", "ply"
-    joints: tuple[Mapping[str, Any], ...] | None = None  # contract form, file coordinates; None: from the file
+    joints: tuple[Mapping[str, Any], ...] | None = (
+        None  # contract form, file coordinates; None: from the file
+    )
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,24 @@ class FrameReport:
     state: FilterState
     estimate: Estimate
     timing_ms: Mapping[str, float]  # decode, measure, score, total
+    scorer: str
+
+
+@dataclass(frozen=True)
+class PackedFrameJob:
+    """A frame on its way: the state as bytes (``service.workers.codec``), ``job.state`` left None."""
+
+    job: FrameJob
+    state: bytes | None
+
+
+@dataclass(frozen=True)
+class PackedFrameReport:
+    """A frame's report on its way back: the new state as bytes."""
+
+    state: bytes
+    estimate: Estimate
+    timing_ms: Mapping[str, float]
     scorer: str
 
 

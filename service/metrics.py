@@ -1,0 +1,58 @@
+"""Prometheus metrics, one registry per application."""
+
+from __future__ import annotations
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
+
+_SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+
+
+class Metrics:
+    """What an operator watches."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self.frames = Counter(
+            "skypose_frames_total",
+            "Frames tracked, by status of the estimate",
+            ["status"],
+            registry=self.registry,
+        )
+        self.duplicates = Counter(
+            "skypose_duplicate_frames_total", "Frames answered from the store", registry=self.registry
+        )
+        self.refusals = Counter(
+            "skypose_refusals_total", "Calls refused, by type of problem", ["type"], registry=self.registry
+        )
+        self.stage_seconds = Histogram(
+            "skypose_stage_seconds",
+            "Time of a frame in each stage: wait, decode, measure, score, total, commit",
+            ["stage"],
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
+        self.request_seconds = Histogram(
+            "skypose_request_seconds",
+            "Time of HTTP calls",
+            ["method", "route", "status"],
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
+        self.ess_share = Histogram(
+            "skypose_ess_share",
+            "Effective sample size over particles",
+            buckets=(0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0),
+            registry=self.registry,
+        )
+        self.evictions = Counter(
+            "skypose_evictions_total", "Idle sessions that left memory", registry=self.registry
+        )
+        self.resident_sessions = self._gauge("skypose_resident_sessions", "Sessions in memory")
+        self.waiting_frames = self._gauge("skypose_waiting_frames", "Frames waiting or under way")
+        self.waiting_bytes = self._gauge("skypose_waiting_bytes", "Bytes of those frames")
+        self.watchers = self._gauge("skypose_watchers", "Open streams")
+        self.worker_restarts = self._gauge("skypose_worker_restarts", "Workers lost since the start")
+        self.loop_lag_seconds = self._gauge("skypose_loop_lag_seconds", "Delay of the event loop, newest")
+
+    def _gauge(self, name: str, text: str) -> Gauge:
+        return Gauge(name, text, registry=self.registry)

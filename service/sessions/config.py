@@ -1,0 +1,84 @@
+"""From what a client sends to the effective configuration of its session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import orjson
+from pydantic import TypeAdapter, ValidationError
+
+from service.errors import ConfigError
+from service.inference.articulation import Articulation
+from service.inference.params import SessionConfig, preset_defaults
+
+CONFIG: TypeAdapter[SessionConfig] = TypeAdapter(SessionConfig)
+
+
+def effective(sections: Mapping[str, Any]) -> SessionConfig:
+    """Lay what was sent over the preset's defaults, and check the whole.
+
+    Raises ``ConfigError`` that names every unknown field and every value outside its limits.
+    """
+    merged: dict[str, Any] = {name: dict(values) for name, values in _preset(sections).items()}
+    for name, given in sections.items():
+        if not isinstance(given, Mapping):
+            raise ConfigError(f"{name} must be an object", field=name)
+        merged[name] = {**merged.get(name, {}), **given}
+    return parse(orjson.dumps(merged))
+
+
+def parse(document: bytes) -> SessionConfig:
+    """A configuration from JSON. Raises ``ConfigError``."""
+    try:
+        return CONFIG.validate_json(document, strict=True)
+    except ValidationError as error:
+        raise _config_error(error) from error
+
+
+def document(config: SessionConfig) -> dict[str, Any]:
+    """The configuration as JSON data; ``parse`` reads it back."""
+    data: dict[str, Any] = CONFIG.dump_python(config, mode="json")
+    return data
+
+
+def check_joints(config: SessionConfig, articulation: Articulation) -> tuple[str, ...]:
+    """Hold the session's joints against the model's. Returns warnings; raises ``ConfigError``."""
+    known = {joint.name: joint for joint in articulation.joints}
+    free = set(known) if config.joints.free == "all" else set(config.joints.free)
+    for name in (*sorted(free), *config.joints.fixed):
+        if name not in known:
+            raise ConfigError(f"the model has no joint {name!r}", field="joints", known=list(known))
+    for name, value in config.joints.fixed.items():
+        if name in free:
+            raise ConfigError(f"joint {name!r} cannot be free and fixed", field=f"joints.fixed.{name}")
+        joint = known[name]
+        if not joint.minimum <= value <= joint.maximum:
+            raise ConfigError(
+                f"joint {name!r} reaches from {joint.minimum:g} to {joint.maximum:g}",
+                field=f"joints.fixed.{name}",
+                minimum=joint.minimum,
+                maximum=joint.maximum,
+            )
+    resting = [name for name in known if name not in free and name not in config.joints.fixed]
+    if not resting:
+        return ()
+    return (f"not estimated, held at their initial value: {', '.join(resting)}",)
+
+
+def _preset(sections: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    chosen = sections.get("filter", {})
+    preset = chosen.get("preset", "balanced") if isinstance(chosen, Mapping) else "balanced"
+    try:
+        return preset_defaults(preset)
+    except ValueError:
+        return {}  # the check of the whole says which presets there are
+
+
+def _config_error(error: ValidationError) -> ConfigError:
+    found = [
+        {"field": ".".join(str(part) for part in item["loc"]), "message": item["msg"]}
+        for item in error.errors(include_url=False, include_context=False, include_input=False)
+    ]
+    first = found[0]
+    return ConfigError(f"{first['field']}: {first['message']}", field=first["field"], errors=found)

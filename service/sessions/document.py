@@ -1,0 +1,131 @@
+"""The estimate as the contract's JSON (section 4). Built once, stored, and served as these bytes for good."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import orjson
+
+from service.errors import SkyposeError
+from service.inference.articulation import Articulation
+from service.inference.params import SessionConfig
+from service.inference.pose import yaw_pitch_roll_deg
+from service.inference.state import Estimate, PoseEstimate, Spread
+from service.workers.base import PackedFrameReport
+
+
+@dataclass(frozen=True)
+class JointNames:
+    """Names of the estimated joints, in the order of the pose's columns, and the values of the fixed ones."""
+
+    free: tuple[str, ...]
+    fixed: Mapping[str, float]
+
+    @classmethod
+    def of(cls, articulation: Articulation, config: SessionConfig) -> JointNames:
+        """Of a session of this model."""
+        wanted = config.joints.free
+        names = [joint.name for joint in articulation.joints]
+        free = tuple(name for name in names if wanted == "all" or name in wanted)
+        return cls(free, dict(config.joints.fixed))
+
+
+def estimate_document(
+    session_id: str, index: int, time: str, names: JointNames, report: PackedFrameReport
+) -> bytes:
+    """The answer to a frame as JSON bytes. Raises ``SkyposeError`` if a number in it is not finite."""
+    estimate = report.estimate
+    data = {
+        "session_id": session_id,
+        "index": index,
+        "time": time,
+        "status": estimate.status,
+        "duplicate": False,
+        "mean": _pose(estimate.mean, names),
+        "best": {
+            **_pose(estimate.best, names),
+            "log_likelihood": float(estimate.best_log_likelihood),
+        },
+        "spread": {
+            **_spread(estimate.spread, names),
+            "covariance": estimate.spread.covariance.tolist(),
+            "covariance_order": [
+                *("rx_deg", "ry_deg", "rz_deg", "x_px", "y_px", "log_scale"),
+                *(f"joint:{name}" for name in names.free),
+            ],
+        },
+        **_population(estimate, names),
+        "timing_ms": {name: round(float(value), 3) for name, value in report.timing_ms.items()},
+        "scorer": report.scorer,
+    }
+    _require_finite(data, "estimate")  # orjson would write null
+    return orjson.dumps(data)
+
+
+def as_duplicate(document: bytes) -> bytes:
+    """The same answer, marked as given before."""
+    return orjson.dumps({**orjson.loads(document), "duplicate": True})
+
+
+def _population(estimate: Estimate, names: JointNames) -> dict[str, Any]:
+    return {
+        "modes": [
+            {
+                "weight": float(mode.weight),
+                "pose": _pose(mode.pose, names),
+                "spread": _spread(mode.spread, names),
+            }
+            for mode in estimate.modes
+        ],
+        "particles": int(estimate.n_particles),
+        "ess": float(estimate.ess),
+        "log_evidence": float(estimate.log_evidence),
+    }
+
+
+def _pose(pose: PoseEstimate, names: JointNames) -> dict[str, Any]:
+    w, x, y, z = (pose.quaternion if pose.quaternion[0] >= 0 else -pose.quaternion).tolist()
+    yaw, pitch, roll = yaw_pitch_roll_deg(pose.quaternion).tolist()
+    return {
+        "orientation": {"w": w, "x": x, "y": y, "z": z},
+        "yaw_deg": yaw,
+        "pitch_deg": pitch,
+        "roll_deg": roll,
+        "x_px": float(pose.position[0]),
+        "y_px": float(pose.position[1]),
+        "scale_px": float(pose.scale),
+        "joints": {**_named(names.free, pose.joints.tolist()), **names.fixed},
+        "attitude": None,
+    }
+
+
+def _spread(spread: Spread, names: JointNames) -> dict[str, Any]:
+    return {
+        "orientation_deg": float(spread.orientation_deg),
+        "yaw_deg": float(spread.yaw_deg),
+        "pitch_deg": float(spread.pitch_deg),
+        "roll_deg": float(spread.roll_deg),
+        "x_px": float(spread.x_px),
+        "y_px": float(spread.y_px),
+        "scale_px": float(spread.scale_px),
+        "joints": _named(names.free, spread.joints.tolist()),
+    }
+
+
+def _named(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    return dict(zip(names, values, strict=True))
+
+
+def _require_finite(value: Any, path: str) -> None:
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise SkyposeError(f"{path} is not finite")
+    elif isinstance(value, dict):
+        for name, item in value.items():
+            _require_finite(item, f"{path}.{name}")
+    elif isinstance(value, list):
+        for item in value:
+            _require_finite(item, path)

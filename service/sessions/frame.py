@@ -1,0 +1,118 @@
+"""A frame on its way in, its answer, and the arithmetic of its time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from service.errors import FrameConflictError, FrameGapError, IdempotencyKeyError, InputError
+from service.store.base import SessionRecord, StoredFrame
+
+
+@dataclass(frozen=True)
+class FrameIn:
+    """One image as it was posted."""
+
+    body: bytes
+    sha256: str
+    media_type: str
+    received: datetime
+    index: int | None = None  # chosen by the client (PUT), or None: the next
+    idempotency_key: str | None = None
+    time: datetime | None = None
+    query: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class BackgroundIn:
+    """One background image (or multi-frame file) as it was posted."""
+
+    body: bytes
+    sha256: str
+    media_type: str
+    idempotency_key: str | None = None
+    box: tuple[float, float, float, float] | None = None
+    border_px: float | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An estimate as JSON bytes."""
+
+    index: int
+    document: bytes
+    duplicate: bool
+
+
+@dataclass(frozen=True)
+class BackgroundAnswer:
+    """What a background call says."""
+
+    background_frames: int
+    state: str = "ready"
+
+
+@dataclass(frozen=True)
+class FrameTime:
+    """When a frame was taken: for people (UTC), and for the filter (seconds since the first frame)."""
+
+    utc: datetime
+    given: datetime | None
+    seconds: float
+
+
+def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float) -> FrameTime:
+    """The frame's time. Raises ``InputError`` for one before the previous frame's.
+
+    The filter's clock must not depend on when a frame happened to arrive, or a repeated pass would differ: it
+    counts the given times, and the nominal interval where there are none.
+    """
+    previous = None if record.time_given is None else datetime.fromisoformat(record.time_given)
+    if frame.time is not None and previous is not None and frame.time < previous:
+        raise InputError(
+            "the frame is older than the one before", field="time", previous=format_time(previous)
+        )
+    if record.time_s is None:
+        seconds = 0.0
+    elif frame.time is not None and previous is not None:
+        seconds = record.time_s + (frame.time - previous).total_seconds()
+    else:
+        seconds = record.time_s + interval_s
+    return FrameTime(frame.time or frame.received, frame.time, seconds)
+
+
+def format_time(moment: datetime) -> str:
+    """UTC, ISO 8601 with Z; milliseconds unless there is more."""
+    moment = moment.astimezone(UTC)
+    digits = "microseconds" if moment.microsecond % 1000 else "milliseconds"
+    return moment.isoformat(timespec=digits).removesuffix("+00:00") + "Z"
+
+
+def repeated(
+    frame: FrameIn, next_index: int, at_index: StoredFrame | None, under_key: StoredFrame | None
+) -> int | None:
+    """Index of the stored frame that this one repeats, or None for a new one.
+
+    Raises ``IdempotencyKeyError``, ``FrameConflictError`` or ``FrameGapError``.
+    """
+    if under_key is not None:
+        if under_key.sha256 != frame.sha256 or frame.index not in (None, under_key.index):
+            raise IdempotencyKeyError(
+                f"the key was used for frame {under_key.index} with other content",
+                field="header:Idempotency-Key",
+                index=under_key.index,
+            )
+        return under_key.index
+    if at_index is not None:
+        if at_index.sha256 != frame.sha256:
+            raise FrameConflictError(
+                f"frame {at_index.index} holds other bytes", field="index", sha256=at_index.sha256
+            )
+        return at_index.index
+    if frame.index is not None and frame.index != next_index:
+        raise FrameGapError(
+            f"frame {frame.index} is not the next; frame {next_index} is", field="index", expected=next_index
+        )
+    return None

@@ -1,0 +1,146 @@
+"""Fan-out to watchers. A watcher is a cursor in the session's event log; the hub only says that it has grown.
+
+Newest events are kept in a small ring per watched session; anything older is read from the database. So a
+slow watcher costs no memory, and one that resumes loses and repeats nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncGenerator
+from contextlib import aclosing
+from dataclasses import dataclass, field
+from typing import Literal
+
+from service.errors import BusyError
+from service.store import frames
+from service.store.base import StoredEvent
+from service.store.database import Database
+
+PAGE = 100
+
+
+@dataclass(frozen=True)
+class Message:
+    """What a watcher gets. ``seq`` is where it stands after it."""
+
+    type: Literal["estimate", "heartbeat", "resync-required", "end"]
+    seq: int
+    document: bytes | None = None  # of an estimate
+    reason: str | None = None  # of an end
+
+
+@dataclass
+class _Channel:
+    ring: deque[StoredEvent]
+    watchers: int = 0
+    newest: int = 0
+    ended: str | None = None
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def grow(self) -> None:
+        """Wake every watcher."""
+        self.changed.set()
+        self.changed = asyncio.Event()
+
+    def since(self, cursor: int) -> list[StoredEvent] | None:
+        """Events after ``cursor``, or None where the ring does not reach back so far."""
+        if not self.ring or self.ring[0].seq > cursor + 1:
+            return None
+        return [event for event in self.ring if event.seq > cursor]
+
+
+class Hub:
+    """The channels of all watched sessions."""
+
+    def __init__(
+        self, database: Database, *, ring: int, max_lag: int, heartbeat_s: float, max_watchers: int
+    ) -> None:
+        self._database = database
+        self._ring = ring
+        self._max_lag = max_lag
+        self._heartbeat_s = heartbeat_s
+        self._max_watchers = max_watchers
+        self._channels: dict[str, _Channel] = {}
+        self._stopping: str | None = None
+
+    @property
+    def watchers(self) -> int:
+        """Watchers at present."""
+        return sum(channel.watchers for channel in self._channels.values())
+
+    def publish(self, session_id: str, seq: int, document: bytes) -> None:
+        """Tell the watchers of a committed event."""
+        channel = self._channels.get(session_id)
+        if channel is not None:
+            channel.ring.append(StoredEvent(seq, document))
+            channel.newest = seq
+            channel.grow()
+
+    def end(self, session_id: str, reason: str) -> None:
+        """Send a session's watchers home."""
+        channel = self._channels.get(session_id)
+        if channel is not None:
+            channel.ended = reason
+            channel.grow()
+
+    def stop(self) -> None:
+        """Send all watchers home: the service is shutting down."""
+        self._stopping = "shutdown"
+        for session_id in list(self._channels):
+            self.end(session_id, "shutdown")
+
+    async def watch(self, session_id: str, after: int | None) -> AsyncGenerator[Message]:
+        """Events after number ``after`` (None: only new ones), then new ones as they come, in order.
+
+        Raises ``NotFoundError`` for an unknown session, ``BusyError`` past the number of watchers.
+        """
+        if self.watchers >= self._max_watchers:
+            raise BusyError("too many streams", setting="SKYPOSE_MAX_STREAMS", limit=self._max_watchers)
+        channel = self._channels.setdefault(session_id, _Channel(deque(maxlen=self._ring)))
+        channel.watchers += 1  # before the log is read: whatever is committed from now on wakes us
+        try:
+            newest = await self._database.read(frames.last_seq, session_id)
+            channel.newest = max(channel.newest, newest)
+            channel.ended = channel.ended or self._stopping
+            cursor = newest if after is None else max(after, 0)
+            if cursor > newest:
+                yield Message("resync-required", newest)
+                cursor = newest
+            async with aclosing(self._follow(session_id, channel, cursor)) as messages:
+                async for message in messages:
+                    yield message
+        finally:
+            channel.watchers -= 1
+            if channel.watchers == 0 and self._channels.get(session_id) is channel:
+                del self._channels[session_id]
+
+    async def _follow(self, session_id: str, channel: _Channel, cursor: int) -> AsyncGenerator[Message]:
+        live = False
+        while True:
+            changed = channel.changed
+            if live and channel.newest - cursor > self._max_lag:
+                cursor = channel.newest
+                yield Message("resync-required", cursor)
+            for event in await self._events(session_id, channel, cursor):
+                yield Message("estimate", event.seq, event.document)
+                cursor = event.seq
+            if cursor < channel.newest and channel.ended is None:
+                continue
+            live = True
+            if channel.ended is not None:
+                yield Message("end", cursor, reason=channel.ended)
+                return
+            try:
+                await asyncio.wait_for(changed.wait(), self._heartbeat_s)
+            except TimeoutError:
+                yield Message("heartbeat", cursor)
+
+    async def _events(self, session_id: str, channel: _Channel, cursor: int) -> list[StoredEvent]:
+        if cursor >= channel.newest:
+            return []
+        recent = channel.since(cursor)
+        if recent is not None:
+            return recent
+        return await self._database.read(frames.event_page, session_id, cursor, PAGE)

@@ -1,0 +1,106 @@
+"""Calls of one session, run one at a time in the order of their arrival."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import structlog
+
+from service.errors import (
+    BusyError,
+    InboxFullError,
+    SkyposeError,
+    StaleOwnerError,
+    StoppingError,
+    StorageError,
+)
+
+log = structlog.get_logger(__name__)
+R = TypeVar("R")
+
+
+@dataclass
+class _Item:
+    run: Callable[[], Awaitable[Any]]
+    answer: asyncio.Future[Any]
+    since: float
+
+
+class Inbox:
+    """A bounded queue and the task that empties it."""
+
+    def __init__(self, name: str, limit: int, waited: Callable[[float], None]) -> None:
+        self.retired = False  # the owner's memory may no longer be the truth: restore it from the store
+        self.used_at = time.monotonic()
+        self._name = name
+        self._limit = limit
+        self._waited = waited
+        self._items: asyncio.Queue[_Item | None] = asyncio.Queue()
+        self._in_hand = False
+        self._closing = False
+        self._task = asyncio.create_task(self._run(), name=f"session {name}")
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing waits and nothing is under way."""
+        return not self._in_hand and self._items.empty()
+
+    def require_room(self) -> None:
+        """Raise ``InboxFullError`` where one more call would be refused."""
+        if self._items.qsize() >= self._limit:
+            raise InboxFullError(
+                f"{self._limit} frames of this session are waiting",
+                limit=self._limit,
+                setting="SKYPOSE_SESSION_INBOX_FRAMES",
+            )
+
+    def put(self, run: Callable[[], Awaitable[R]]) -> asyncio.Future[R]:
+        """Queue a call; the future holds its result."""
+        if self._closing:
+            raise StoppingError("the session is being closed")
+        self.require_room()
+        self.used_at = time.monotonic()
+        answer: asyncio.Future[R] = asyncio.get_running_loop().create_future()
+        self._items.put_nowait(_Item(run, answer, time.monotonic()))
+        return answer
+
+    async def close(self) -> None:
+        """Finish the call in hand, refuse those that wait, end."""
+        if not self._closing:
+            self._closing = self.retired = True
+            self._items.put_nowait(None)
+        await self._task
+
+    async def _run(self) -> None:
+        with structlog.contextvars.bound_contextvars(session_id=self._name):
+            while (item := await self._items.get()) is not None:
+                self._waited(time.monotonic() - item.since)
+                self._in_hand = True
+                await self._answer(item)
+                self._in_hand = False
+                self.used_at = time.monotonic()
+
+    async def _answer(self, item: _Item) -> None:
+        try:
+            result = await self._result(item)
+        except Exception as error:
+            if not isinstance(error, SkyposeError):
+                log.exception("session call failed")
+            if isinstance(error, StorageError | StaleOwnerError):
+                self.retired = True  # whether the write took place is uncertain
+            if not item.answer.done():
+                item.answer.set_exception(error)
+        else:
+            if not item.answer.done():
+                item.answer.set_result(result)
+
+    async def _result(self, item: _Item) -> Any:
+        if self._closing:
+            raise StoppingError("the session is being closed")
+        if self.retired:
+            raise BusyError("the session is being restored")
+        return await item.run()

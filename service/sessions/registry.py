@@ -1,0 +1,119 @@
+"""Sessions in memory: created, restored on their next call, evicted when idle. The store has the truth."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import uuid
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import orjson
+import structlog
+from pydantic import TypeAdapter
+
+from service.inference.articulation import Articulation
+from service.sessions import config as session_config
+from service.sessions.frame import format_time
+from service.sessions.session import Rooms, Session
+from service.store import models, sessions
+from service.store.base import ModelRecord, SessionRecord
+
+log = structlog.get_logger(__name__)
+ARTICULATION: TypeAdapter[Articulation] = TypeAdapter(Articulation)
+
+
+def articulation_of(model: ModelRecord) -> Articulation:
+    """Parts and joints of a stored model."""
+    return ARTICULATION.validate_python(model.report["articulation"])
+
+
+class Registry:
+    """Hands out the one owner of each session."""
+
+    def __init__(self, rooms: Rooms, *, idle_s: float, max_resident: int) -> None:
+        self._rooms = rooms
+        self._idle_s = idle_s
+        self._max_resident = max_resident
+        self._resident: dict[str, Session] = {}
+        self._restoring = asyncio.Lock()
+        self._leaving: set[asyncio.Task[None]] = set()
+
+    @property
+    def resident(self) -> Mapping[str, Session]:
+        """Sessions in memory."""
+        return self._resident
+
+    async def create(self, model_id: str, name: str | None, sections: Mapping[str, Any]) -> SessionRecord:
+        """A new session. Raises ``NotFoundError`` for the model, ``ConfigError`` for the rest."""
+        model = await self._rooms.database.read(models.get, model_id)
+        config = session_config.effective(sections)
+        warnings = session_config.check_joints(config, articulation_of(model))
+        now = format_time(datetime.now(UTC))
+        record = SessionRecord(
+            id=str(uuid.uuid4()),
+            model_id=model_id,
+            name=name,
+            config=session_config.document(config),
+            warnings=warnings,
+            created_at=now,
+            updated_at=now,
+        )
+        await self._rooms.database.write(sessions.add, record)
+        return record
+
+    async def get(self, session_id: str) -> Session:
+        """The session's owner, restored from the store if not in memory. Raises ``NotFoundError``."""
+        owner = self._resident.get(session_id)
+        if owner is None or owner.inbox.retired:
+            async with self._restoring:
+                owner = self._resident.get(session_id)
+                if owner is None or owner.inbox.retired:
+                    owner = await self._restore(session_id)
+        owner.inbox.used_at = time.monotonic()
+        return owner
+
+    async def remove(self, session_id: str) -> None:
+        """Delete a session with its history, and send its watchers home."""
+        async with self._restoring:
+            owner = self._resident.pop(session_id, None)
+            if owner is not None:
+                await owner.inbox.close()
+            await self._rooms.database.write(sessions.remove, session_id)
+        self._rooms.hub.end(session_id, "deleted")
+
+    def evict(self) -> int:
+        """Let idle sessions leave memory. Returns how many."""
+        by_age = sorted(self._resident.values(), key=lambda owner: owner.inbox.used_at)
+        surplus = len(by_age) - self._max_resident
+        oldest = time.monotonic() - self._idle_s
+        idle = [owner for owner in by_age if owner.inbox.idle]
+        leaving = [owner for n, owner in enumerate(idle) if n < surplus or owner.inbox.used_at < oldest]
+        for owner in leaving:
+            self._let_go(owner)
+        return len(leaving)
+
+    async def close(self) -> None:
+        """Finish every frame in hand."""
+        owners = list(self._resident.values())
+        self._resident.clear()
+        await asyncio.gather(*(owner.inbox.close() for owner in owners), *self._leaving)
+
+    async def _restore(self, session_id: str) -> Session:
+        old = self._resident.pop(session_id, None)
+        if old is not None:
+            await old.inbox.close()
+        record, state = await self._rooms.database.write(sessions.claim, session_id)
+        model = await self._rooms.database.read(models.get, record.model_id)
+        config = session_config.parse(orjson.dumps(record.config))
+        owner = Session(self._rooms, record, model, articulation_of(model), config, state)
+        self._resident[session_id] = owner
+        log.info("session restored", session_id=session_id, next_index=record.next_index)
+        return owner
+
+    def _let_go(self, owner: Session) -> None:
+        del self._resident[owner.record.id]
+        task = asyncio.create_task(owner.inbox.close())
+        self._leaving.add(task)
+        task.add_done_callback(self._leaving.discard)

@@ -1,0 +1,204 @@
+"""One tracked object: the only owner of its state. Takes frames in order, one at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+
+import structlog
+
+from service.errors import IdempotencyKeyError, NoBackgroundError
+from service.inference.articulation import Articulation
+from service.inference.params import SessionConfig
+from service.metrics import Metrics
+from service.sessions.document import JointNames, as_duplicate, estimate_document
+from service.sessions.frame import (
+    Answer,
+    BackgroundAnswer,
+    BackgroundIn,
+    FrameIn,
+    FrameTime,
+    format_time,
+    frame_time,
+    repeated,
+)
+from service.sessions.hub import Hub
+from service.sessions.inbox import Inbox
+from service.store import frames, models, sessions
+from service.store.base import BackgroundRecord, FrameRecord, ModelRecord, Retention, SessionRecord
+from service.store.database import Database
+from service.workers.base import BackgroundJob, FrameJob, PackedFrameReport
+from service.workers.engine import Engine
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class Rooms:
+    """What a session works with."""
+
+    engine: Engine
+    database: Database
+    hub: Hub
+    metrics: Metrics
+    retention: Retention
+    inbox_frames: int
+
+
+class Session:
+    """The owner. Lives in memory while the session is in use; everything it knows is in the store."""
+
+    def __init__(
+        self,
+        rooms: Rooms,
+        record: SessionRecord,
+        model: ModelRecord,
+        articulation: Articulation,
+        config: SessionConfig,
+        state: bytes | None,
+    ) -> None:
+        self.record = record
+        self.inbox = Inbox(record.id, rooms.inbox_frames, rooms.metrics.stage_seconds.labels("wait").observe)
+        self._rooms = rooms
+        self._model = model
+        self._articulation = articulation
+        self._config = config
+        self._names = JointNames.of(articulation, config)
+        self._state = state
+
+    def submit(self, frame: FrameIn) -> asyncio.Future[Answer]:
+        """Queue a frame. The future holds the answer once it is committed."""
+        return self.inbox.put(partial(self._frame, frame))
+
+    def submit_background(self, image: BackgroundIn) -> asyncio.Future[BackgroundAnswer]:
+        """Queue a background image."""
+        return self.inbox.put(partial(self._background, image))
+
+    async def _frame(self, frame: FrameIn) -> Answer:
+        record = self.record
+        at_index, under_key = await self._rooms.database.read(
+            frames.find, record.id, index=frame.index, key=frame.idempotency_key
+        )
+        index = repeated(frame, record.next_index, at_index, under_key)
+        if index is not None:
+            document = await self._rooms.database.read(frames.estimate, record.id, index)
+            self._rooms.metrics.duplicates.inc()
+            return Answer(index, as_duplicate(document), duplicate=True)
+        if record.background_key is None:
+            raise NoBackgroundError("post a background image first", field="background")
+        moment = frame_time(record, frame, self._config.motion.frame_interval_s)
+        report = await self._track(frame, record.background_key, moment.seconds)
+        return await self._commit(frame, moment, report)
+
+    async def _track(self, frame: FrameIn, background: str, time_s: float) -> PackedFrameReport:
+        job = FrameJob(
+            config=self._config,
+            model=self._model.blob_key,
+            file_type=self._model.file_type,
+            articulation=self._articulation,
+            background=background,
+            state=None,
+            frame_index=self.record.next_index,
+            time_s=time_s,
+            body=frame.body,
+            media_type=frame.media_type,
+        )
+        return await self._rooms.engine.track(self.record.id, job, self._state, self._blob)
+
+    async def _commit(self, frame: FrameIn, moment: FrameTime, report: PackedFrameReport) -> Answer:
+        index, text = self.record.next_index, format_time(moment.utc)
+        document = await asyncio.to_thread(
+            estimate_document, self.record.id, index, text, self._names, report
+        )
+        given = None if moment.given is None else moment.given.isoformat()
+        record = FrameRecord(
+            session_id=self.record.id,
+            epoch=self.record.epoch,
+            index=index,
+            sha256=frame.sha256,
+            idempotency_key=frame.idempotency_key,
+            media_type=frame.media_type,
+            time=text,
+            time_given=given,
+            time_s=moment.seconds,
+            query=frame.query,
+            body=frame.body,
+            status=report.estimate.status,
+            document=document,
+            state=report.state,
+            created_at=format_time(frame.received),
+        )
+        started = time.monotonic()
+        seq = await self._rooms.database.write(frames.append, record, self._rooms.retention)
+        self._observe(report, time.monotonic() - started)
+        self._state = report.state
+        self.record = replace(
+            self.record,
+            next_index=index + 1,
+            next_seq=seq + 1,
+            status=record.status,
+            time_s=record.time_s,
+            time_given=given,
+            updated_at=record.created_at,
+        )
+        self._rooms.hub.publish(self.record.id, seq, document)
+        log.info("frame", frame=index, status=record.status, ms=round(report.timing_ms.get("total", 0), 1))
+        return Answer(index, document, duplicate=False)
+
+    def _observe(self, report: PackedFrameReport, commit_s: float) -> None:
+        metrics = self._rooms.metrics
+        metrics.frames.labels(report.estimate.status).inc()
+        metrics.ess_share.observe(report.estimate.ess / max(report.estimate.n_particles, 1))
+        metrics.stage_seconds.labels("commit").observe(commit_s)
+        for stage, value in report.timing_ms.items():
+            metrics.stage_seconds.labels(stage).observe(value / 1e3)
+
+    async def _background(self, image: BackgroundIn) -> BackgroundAnswer:
+        record, database = self.record, self._rooms.database
+        if image.idempotency_key is not None:
+            known = await database.read(sessions.find_background, record.id, image.idempotency_key)
+            if known is not None:
+                return _known_background(image, *known)
+        learned = None if record.background_key is None else await self._blob(record.background_key)
+        job = BackgroundJob(
+            config=self._config,
+            body=image.body,
+            media_type=image.media_type,
+            background=learned,
+            box=image.box,
+            border_px=image.border_px,
+        )
+        report = await self._rooms.engine.learn_background(record.id, job)
+        key = (await asyncio.to_thread(hashlib.sha256, report.background)).hexdigest()
+        info = {name: getattr(report, name) for name in ("height", "width", "channels", "bits")}
+        background = BackgroundRecord(
+            session_id=record.id,
+            epoch=record.epoch,
+            sha256=image.sha256,
+            idempotency_key=image.idempotency_key,
+            key=key,
+            data=report.background,
+            frames=report.frames,
+            info=info,
+            created_at=format_time(datetime.now(UTC)),
+        )
+        await database.write(sessions.set_background, background)
+        self.record = replace(
+            record, background_key=key, background_frames=report.frames, background_info=info
+        )
+        return BackgroundAnswer(report.frames)
+
+    async def _blob(self, key: str) -> bytes:
+        return await self._rooms.database.read(models.get_blob, key)
+
+
+def _known_background(image: BackgroundIn, sha256: str, frame_count: int) -> BackgroundAnswer:
+    if sha256 != image.sha256:
+        raise IdempotencyKeyError(
+            "the key was used for a background with other content", field="header:Idempotency-Key"
+        )
+    return BackgroundAnswer(frame_count)

@@ -1,0 +1,106 @@
+"""What the store takes and gives: plain records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class ModelRecord:
+    """An uploaded model. ``report`` is what was found in it, ``joints`` what the client gave; JSON data."""
+
+    id: str
+    name: str
+    file_type: str
+    blob_key: str
+    report: Mapping[str, Any]
+    created_at: str
+    joints: tuple[Mapping[str, Any], ...] | None = None
+    number: int = 0  # order of creation, given by the store
+
+
+@dataclass(frozen=True)
+class SessionRecord:
+    """A session as the database holds it."""
+
+    id: str
+    model_id: str
+    name: str | None
+    config: Mapping[str, Any]
+    warnings: tuple[str, ...]
+    created_at: str
+    updated_at: str
+    epoch: int = 0  # raised whenever an owner takes the session; older owners can then write no more
+    next_index: int = 0
+    next_seq: int = 1
+    status: str | None = None  # of the last estimate
+    time_s: float | None = None  # of the last frame, since the first one
+    time_given: str | None = None  # the client's time of the last frame, if it brought one
+    background_key: str | None = None
+    background_frames: int = 0
+    background_info: Mapping[str, Any] | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """A tracked frame with all that its one transaction holds."""
+
+    session_id: str
+    epoch: int
+    index: int
+    sha256: str
+    idempotency_key: str | None
+    media_type: str
+    time: str
+    time_given: str | None
+    time_s: float
+    query: Mapping[str, Any]
+    body: bytes
+    status: str
+    document: bytes  # the estimate as the API answers it
+    state: bytes  # the weighted particles, packed
+    created_at: str
+
+
+@dataclass(frozen=True)
+class StoredFrame:
+    """What tells a repeated frame from a new one."""
+
+    index: int
+    sha256: str
+    idempotency_key: str | None
+
+
+@dataclass(frozen=True)
+class BackgroundRecord:
+    """A background after one more image."""
+
+    session_id: str
+    epoch: int
+    sha256: str
+    idempotency_key: str | None
+    key: str
+    data: bytes
+    frames: int
+    info: Mapping[str, Any]
+    created_at: str
+
+
+@dataclass(frozen=True)
+class Retention:
+    """What of the past is kept beside the estimates, which are kept for good."""
+
+    frame_bodies: int
+    particle_sets: int
+    particle_every: int
+
+
+@dataclass(frozen=True)
+class StoredEvent:
+    """An entry of a session's event log."""
+
+    seq: int
+    document: bytes

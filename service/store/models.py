@@ -1,0 +1,85 @@
+"""Queries on models and blobs. Each takes the connection of a running transaction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import Connection, Row, delete, insert, or_, select
+
+from service.errors import ModelInUseError, NotFoundError
+from service.store.base import ModelRecord
+from service.store.tables import blobs, models, sessions
+
+
+def add(connection: Connection, record: ModelRecord, data: bytes) -> None:
+    """Store a model and its file, unless the same is there."""
+    if find(connection, record.id) is None:
+        put_blob(connection, record.blob_key, data)
+        values = {name: getattr(record, name) for name in models.columns.keys() if name != "number"}  # noqa: SIM118
+        connection.execute(insert(models).values({**values, "joints": _list(record.joints)}))
+
+
+def find(connection: Connection, model_id: str) -> ModelRecord | None:
+    """The model, or None."""
+    row = connection.execute(select(models).where(models.c.id == model_id)).first()
+    return None if row is None else _record(row)
+
+
+def get(connection: Connection, model_id: str) -> ModelRecord:
+    """The model. Raises ``NotFoundError``."""
+    record = find(connection, model_id)
+    if record is None:
+        raise NotFoundError(f"no model {model_id}", field="model_id")
+    return record
+
+
+def page(connection: Connection, after: int, limit: int) -> list[ModelRecord]:
+    """Models in order of creation, from number ``after`` on."""
+    query = select(models).where(models.c.number > after).order_by(models.c.number).limit(limit)
+    return [_record(row) for row in connection.execute(query)]
+
+
+def remove(connection: Connection, model_id: str) -> None:
+    """Delete a model and its file. Raises ``ModelInUseError`` while a session needs it."""
+    record = get(connection, model_id)
+    users = connection.execute(select(sessions.c.id).where(sessions.c.model_id == model_id).limit(5)).all()
+    if users:
+        raise ModelInUseError(f"sessions need model {model_id}", sessions=[row.id for row in users])
+    connection.execute(delete(models).where(models.c.id == model_id))
+    drop_blob_if_unused(connection, record.blob_key)
+
+
+def put_blob(connection: Connection, key: str, data: bytes) -> None:
+    """Store bytes under their content's key, unless they are there."""
+    if connection.execute(select(blobs.c.key).where(blobs.c.key == key)).first() is None:
+        connection.execute(insert(blobs).values(key=key, data=data))
+
+
+def get_blob(connection: Connection, key: str) -> bytes:
+    """The bytes under a key. Raises ``NotFoundError``."""
+    data: bytes | None = connection.execute(select(blobs.c.data).where(blobs.c.key == key)).scalar()
+    if data is None:
+        raise NotFoundError(f"no blob {key}")
+    return data
+
+
+def drop_blob_if_unused(connection: Connection, key: str | None) -> None:
+    """Delete a blob that no model and no session names."""
+    if key is None:
+        return
+    used = or_(
+        select(models.c.id).where(models.c.blob_key == key).exists(),
+        select(sessions.c.id).where(sessions.c.background_key == key).exists(),
+    )
+    connection.execute(delete(blobs).where(blobs.c.key == key, ~used))
+
+
+def _record(row: Row[Any]) -> ModelRecord:
+    values = dict(row._mapping)
+    joints = values["joints"]
+    return ModelRecord(**{**values, "joints": None if joints is None else tuple(joints)})
+
+
+def _list(joints: tuple[Mapping[str, Any], ...] | None) -> list[Mapping[str, Any]] | None:
+    return None if joints is None else list(joints)

@@ -1,0 +1,103 @@
+"""Queries on sessions and their backgrounds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import Connection, Row, delete, func, insert, select, update
+
+from service.errors import NotFoundError, StaleOwnerError
+from service.store import models
+from service.store.base import BackgroundRecord, SessionRecord
+from service.store.tables import backgrounds, particles, sessions
+
+
+def add(connection: Connection, record: SessionRecord) -> None:
+    """Store a new session. Raises ``NotFoundError`` where its model has gone."""
+    models.get(connection, record.model_id)
+    values = {name: getattr(record, name) for name in sessions.columns.keys() if name != "number"}  # noqa: SIM118
+    connection.execute(insert(sessions).values({**values, "warnings": list(record.warnings)}))
+
+
+def get(connection: Connection, session_id: str) -> SessionRecord:
+    """The session. Raises ``NotFoundError``."""
+    row = connection.execute(select(sessions).where(sessions.c.id == session_id)).first()
+    if row is None:
+        raise NotFoundError(f"no session {session_id}", field="session_id")
+    return _record(row)
+
+
+def page(connection: Connection, after: int, limit: int) -> list[SessionRecord]:
+    """Sessions in order of creation, from number ``after`` on."""
+    query = select(sessions).where(sessions.c.number > after).order_by(sessions.c.number).limit(limit)
+    return [_record(row) for row in connection.execute(query)]
+
+
+def claim(connection: Connection, session_id: str) -> tuple[SessionRecord, bytes | None]:
+    """Become the session's owner: raise its epoch, and read it with its newest packed state."""
+    connection.execute(update(sessions).where(sessions.c.id == session_id).values(epoch=sessions.c.epoch + 1))
+    record = get(connection, session_id)
+    return record, state(connection, session_id, record.next_index - 1)
+
+
+def state(connection: Connection, session_id: str, index: int) -> bytes | None:
+    """The packed state after frame ``index``, or None where none is kept."""
+    query = select(particles.c.state).where(particles.c.session_id == session_id, particles.c.idx == index)
+    data: bytes | None = connection.execute(query).scalar()
+    return data
+
+
+def remove(connection: Connection, session_id: str) -> None:
+    """Delete a session with all its history. Raises ``NotFoundError``."""
+    record = get(connection, session_id)
+    connection.execute(delete(sessions).where(sessions.c.id == session_id))
+    models.drop_blob_if_unused(connection, record.background_key)
+
+
+def advance(connection: Connection, session_id: str, epoch: int, **values: Any) -> None:
+    """Update the row in the name of an owner. Raises ``StaleOwnerError`` for any but the present."""
+    query = update(sessions).where(sessions.c.id == session_id, sessions.c.epoch == epoch).values(**values)
+    if connection.execute(query).rowcount != 1:
+        raise StaleOwnerError(f"session {session_id} was deleted or has another owner")
+
+
+def find_background(connection: Connection, session_id: str, idempotency_key: str) -> tuple[str, int] | None:
+    """SHA-256 and frame count of the background call that used this key, or None."""
+    query = select(backgrounds.c.sha256, backgrounds.c.frames).where(
+        backgrounds.c.session_id == session_id, backgrounds.c.idempotency_key == idempotency_key
+    )
+    row = connection.execute(query).first()
+    return None if row is None else (row.sha256, row.frames)
+
+
+def set_background(connection: Connection, record: BackgroundRecord) -> None:
+    """Store the background after one more image, and let go of the one before."""
+    old = get(connection, record.session_id).background_key
+    models.put_blob(connection, record.key, record.data)
+    advance(
+        connection,
+        record.session_id,
+        record.epoch,
+        background_key=record.key,
+        background_frames=record.frames,
+        background_info=dict(record.info),
+        updated_at=record.created_at,
+    )
+    if old != record.key:
+        models.drop_blob_if_unused(connection, old)
+    ordinal = select(func.count()).where(backgrounds.c.session_id == record.session_id).scalar_subquery()
+    connection.execute(
+        insert(backgrounds).values(
+            session_id=record.session_id,
+            ordinal=ordinal,
+            sha256=record.sha256,
+            idempotency_key=record.idempotency_key,
+            frames=record.frames,
+            created_at=record.created_at,
+        )
+    )
+
+
+def _record(row: Row[Any]) -> SessionRecord:
+    values = dict(row._mapping)
+    return SessionRecord(**{**values, "warnings": tuple(values["warnings"])})

@@ -1,0 +1,136 @@
+"""The schema. Migrations build it; a test holds the two together."""
+
+from __future__ import annotations
+
+from sqlalchemy import (
+    JSON,
+    Column,
+    Float,
+    ForeignKey,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    UniqueConstraint,
+)
+
+metadata = MetaData(
+    naming_convention={
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+
+def _of_session() -> Column[str]:
+    return Column(
+        "session_id", String, ForeignKey("sessions.id", ondelete="CASCADE"), primary_key=True, nullable=False
+    )
+
+
+blobs = Table(
+    "blobs",
+    metadata,
+    Column("key", String, primary_key=True),
+    Column("data", LargeBinary, nullable=False),
+)
+
+models = Table(
+    "models",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("id", String, nullable=False, unique=True),
+    Column("name", String, nullable=False),
+    Column("file_type", String, nullable=False),
+    Column("blob_key", String, ForeignKey("blobs.key"), nullable=False),
+    Column("joints", JSON),
+    Column("report", JSON, nullable=False),
+    Column("created_at", String, nullable=False),
+    sqlite_autoincrement=True,
+)
+
+sessions = Table(
+    "sessions",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("id", String, nullable=False, unique=True),
+    Column("model_id", String, ForeignKey("models.id"), nullable=False),
+    Column("name", String),
+    Column("config", JSON, nullable=False),
+    Column("warnings", JSON, nullable=False),
+    Column("created_at", String, nullable=False),
+    Column("updated_at", String, nullable=False),
+    Column("epoch", Integer, nullable=False),
+    Column("next_index", Integer, nullable=False),
+    Column("next_seq", Integer, nullable=False),
+    Column("status", String),
+    Column("time_s", Float),
+    Column("time_given", String),
+    Column("background_key", String, ForeignKey("blobs.key")),
+    Column("background_frames", Integer, nullable=False),
+    Column("background_info", JSON),
+    sqlite_autoincrement=True,
+)
+
+backgrounds = Table(
+    "backgrounds",
+    metadata,
+    _of_session(),
+    Column("ordinal", Integer, primary_key=True),
+    Column("sha256", String, nullable=False),
+    Column("idempotency_key", String),
+    Column("frames", Integer, nullable=False),
+    Column("created_at", String, nullable=False),
+    UniqueConstraint("session_id", "idempotency_key"),
+)
+
+frames = Table(
+    "frames",
+    metadata,
+    _of_session(),
+    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("sha256", String, nullable=False),
+    Column("idempotency_key", String),
+    Column("media_type", String, nullable=False),
+    Column("time", String, nullable=False),
+    Column("time_s", Float, nullable=False),
+    Column("query", JSON, nullable=False),
+    Column("created_at", String, nullable=False),
+    Column("epoch", Integer, nullable=False),
+    UniqueConstraint("session_id", "idempotency_key"),
+)
+
+frame_bodies = Table(
+    "frame_bodies",
+    metadata,
+    _of_session(),
+    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("body", LargeBinary, nullable=False),
+)
+
+estimates = Table(
+    "estimates",
+    metadata,
+    _of_session(),
+    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("document", LargeBinary, nullable=False),
+)
+
+particles = Table(
+    "particles",
+    metadata,
+    _of_session(),
+    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("state", LargeBinary, nullable=False),
+)
+
+events = Table(
+    "events",
+    metadata,
+    _of_session(),
+    Column("seq", Integer, primary_key=True, autoincrement=False),
+    Column("kind", String, nullable=False),
+    Column("idx", Integer, nullable=False),
+)

@@ -1,0 +1,102 @@
+"""What sessions call: jobs in, reports out, over whichever transport. Brings missing blobs to the worker."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar
+
+from service.errors import MissingBlobError
+from service.workers.base import (
+    BackgroundJob,
+    BackgroundReport,
+    FrameJob,
+    ModelJob,
+    ModelReport,
+    OverlayJob,
+    PackedFrameJob,
+    PackedFrameReport,
+)
+
+R = TypeVar("R")
+
+BlobSource = Callable[[str], Awaitable[bytes]]
+"""Key -> bytes of a stored blob."""
+
+
+class Transport(Protocol):
+    """Carries a job to a worker and its report back."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether jobs can run at once."""
+
+    @property
+    def restarts(self) -> int:
+        """Workers lost so far."""
+
+    async def start(self) -> None:
+        """Bring the workers up."""
+
+    async def call(self, key: str | None, method: str, job: object) -> Any:
+        """Run ``method`` of the worker that ``key`` is pinned to (None: beside the tracking)."""
+
+    async def close(self) -> None:
+        """Finish what is in hand and end the workers."""
+
+
+class Engine:
+    """The workers as coroutines."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
+
+    async def prepare_model(self, job: ModelJob) -> ModelReport:
+        """Load, check and describe a model file."""
+        report: ModelReport = await self.transport.call(None, "prepare_model", job)
+        return report
+
+    async def learn_background(self, session_id: str, job: BackgroundJob) -> BackgroundReport:
+        """Decode an image and add it to the session's background."""
+        report: BackgroundReport = await self.transport.call(session_id, "learn_background", job)
+        return report
+
+    async def track(
+        self, session_id: str, job: FrameJob, state: bytes | None, blobs: BlobSource
+    ) -> PackedFrameReport:
+        """One frame: packed state in, packed state out."""
+
+        async def run(brought: Mapping[str, bytes]) -> PackedFrameReport:
+            packed = PackedFrameJob(replace(job, blobs=brought), state)
+            report: PackedFrameReport = await self.transport.call(session_id, "track", packed)
+            return report
+
+        return await _with_blobs(run, blobs)
+
+    async def overlay(self, job: OverlayJob, blobs: BlobSource) -> bytes:
+        """PNG of a frame with its best silhouette in blue."""
+
+        async def run(brought: Mapping[str, bytes]) -> bytes:
+            image: bytes = await self.transport.call(None, "overlay", replace(job, blobs=brought))
+            return image
+
+        return await _with_blobs(run, blobs)
+
+    async def describe(self) -> Mapping[str, Any]:
+        """Devices, scorer and versions, as a worker sees them."""
+        description: Mapping[str, Any] = await self.transport.call(None, "describe", None)
+        return description
+
+
+async def _with_blobs(run: Callable[[Mapping[str, bytes]], Awaitable[R]], blobs: BlobSource) -> R:
+    """Try without blobs first: a worker nearly always has them. Then bring what it asks for."""
+    brought: dict[str, bytes] = {}
+    while True:
+        try:
+            return await run(brought)
+        except MissingBlobError as missing:
+            wanted = [key for key in missing.keys if key not in brought]
+            if not wanted:
+                raise
+            for key in wanted:
+                brought[key] = await blobs(key)

@@ -1,0 +1,87 @@
+"""The side of a worker process: build the worker, run jobs one at a time, end when the parent does."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pickle
+import signal
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from multiprocessing import connection, parent_process
+from typing import Any, Literal
+
+from service.errors import SkyposeError
+from service.inference.state import FilterState
+from service.workers.base import PackedFrameJob, PackedFrameReport, Worker
+from service.workers.codec import decode, encode
+
+Outcome = Literal["done", "refused", "bug", "broken"]
+
+
+def execute(worker: Worker, method: str, job: Any) -> Any:
+    """Run one job. A frame's state is unpacked and packed here, so that nobody outside touches its arrays."""
+    if method == "describe":
+        return dict(worker.describe())
+    if method == "track":
+        return _track(worker, job)
+    return getattr(worker, method)(job)
+
+
+def _track(worker: Worker, packed: PackedFrameJob) -> PackedFrameReport:
+    state = None if packed.state is None else decode(FilterState, packed.state)
+    report = worker.track(replace(packed.job, state=state))
+    return PackedFrameReport(encode(report.state), report.estimate, dict(report.timing_ms), report.scorer)
+
+
+def load_factory(path: str) -> Callable[[], Worker]:
+    """``package.module:name`` -> the callable that builds a worker."""
+    module, _, name = path.partition(":")
+    factory: Callable[[], Worker] = getattr(importlib.import_module(module), name)
+    return factory
+
+
+def serve(channel: connection.Connection, factory: str) -> None:
+    """Body of a worker process. First message out: ``("done", description)`` when ready."""
+    # Ctrl-C and a supervisor's SIGTERM reach the whole group; the parent finishes its frames first.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    worker: Worker | None = None
+    try:
+        worker = load_factory(factory)()
+        channel.send_bytes(pickle.dumps(("done", dict(worker.describe()))))
+        while (message := channel.recv_bytes()) != b"":
+            outcome = _answer(worker, message)
+            channel.send_bytes(pickle.dumps(outcome, protocol=5))
+    except EOFError:
+        return
+    except Exception:
+        if worker is None:
+            channel.send_bytes(pickle.dumps(("broken", traceback.format_exc())))
+        raise
+    finally:
+        if worker is not None:
+            worker.close()
+
+
+def _answer(worker: Worker, message: bytes) -> tuple[Outcome, Any]:
+    method, job = pickle.loads(message)
+    try:
+        return "done", execute(worker, method, job)
+    except SkyposeError as error:
+        return "refused", error
+    except MemoryError:
+        return "broken", traceback.format_exc()
+    except Exception as error:
+        lost_device = type(error).__module__.partition(".")[0] == "pyopencl"
+        return "broken" if lost_device else "bug", traceback.format_exc()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
