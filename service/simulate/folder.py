@@ -1,0 +1,122 @@
+"""A simulated pass as a folder: ``case.json``, ``truth.csv``, ``background/``, ``frames/`` and the mesh.
+
+Conventions as everywhere: joints and axes in file coordinates, quaternion body to camera, pixel (0, 0) is the
+outer corner of the first pixel.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from service.inference.articulation import Joint
+from service.simulate.camera import Image
+from service.simulate.motion import Track
+from service.simulate.sequence import SimulatedPass
+
+_COAXIAL_TOLERANCE = 1e-6
+
+
+def encode_png(image: Image) -> bytes:
+    """PNG bytes of a grey or RGB image, 8 or 16 bits."""
+    data = cv2.imencode(".png", image if image.ndim == 2 else image[:, :, ::-1])[1]
+    return data.tobytes()
+
+
+def write_sequence(
+    simulated: SimulatedPass,
+    folder: Path,
+    mesh_name: str,
+    mesh_file: bytes,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write everything; existing files of the same names are replaced. ``progress`` hears (done, of)."""
+    scenario = simulated.scenario
+    total = scenario.background_frames + scenario.motion.frames
+    for name in ("background", "frames"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    (folder / mesh_name).write_bytes(mesh_file)
+    case = json.dumps(describe(simulated, folder.name, mesh_name), indent=1)
+    (folder / "case.json").write_text(case + "\n")
+    write_truth(simulated, folder / "truth.csv")
+    images = [("background", simulated.backgrounds()), ("frames", simulated.frames())]
+    done = 0
+    for name, source in images:
+        for k, image in enumerate(source):
+            (folder / name / f"{k:03d}.png").write_bytes(encode_png(image))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+
+
+def describe(simulated: SimulatedPass, name: str, mesh_name: str) -> dict[str, Any]:
+    """The content of ``case.json``."""
+    scenario = simulated.scenario
+    return {
+        "name": name,
+        "mesh": mesh_name,
+        "width": scenario.size[0],
+        "height": scenario.size[1],
+        "frames": scenario.motion.frames,
+        "background_frames": scenario.background_frames,
+        "bits": scenario.camera.bits,
+        "channels": scenario.camera.channels,
+        "dt_s": scenario.motion.frame_interval_s,
+        "note": scenario.note,
+        "joints": [_joint_entry(simulated, joint) for joint in moving_joints(simulated)],
+    }
+
+
+def moving_joints(simulated: SimulatedPass) -> list[Joint]:
+    """The joints that differ from the mesh file's rest at some time of the pass, deepest first.
+
+    The listed order is the order of application: what hangs on another part moves before it.
+    """
+    values = simulated.track.poses.joints
+    found = [joint for i, joint in enumerate(simulated.articulation.joints) if np.any(values[:, i] != 0)]
+    return sorted(found, key=lambda joint: -max(stage.depth for stage in joint.stages))
+
+
+def write_truth(simulated: SimulatedPass, path: Path) -> None:
+    """The poses of the pass, one line per frame."""
+    track: Track = simulated.track
+    names = [joint.name for joint in simulated.articulation.joints]
+    columns = [(joint.name, names.index(joint.name)) for joint in moving_joints(simulated)]
+    header = ["frame", "time_s", "qx", "qy", "qz", "qw", "x_px", "y_px", "scale_px", "visible"]
+    with path.open("w", newline="") as file:
+        out = csv.writer(file)
+        out.writerow(header + [name for name, _ in columns])
+        for k, time_s in enumerate(track.time_s):
+            pose = track.poses
+            w, x, y, z = (round(float(v), 8) for v in pose.quaternion[k])
+            place = [round(float(v), 4) for v in pose.position[k]]
+            scale = round(float(np.exp(pose.log_scale[k])), 6)
+            joints = [round(float(pose.joints[k, i]), 4) for _, i in columns]
+            seen = int(track.visible[k])
+            out.writerow([k, round(float(time_s), 6), x, y, z, w, *place, scale, seen, *joints])
+
+
+def _joint_entry(simulated: SimulatedPass, joint: Joint) -> dict[str, Any]:
+    """One axis for the whole joint, which is all that the form can say: stages must turn alike."""
+    first = joint.stages[0]
+    for stage in joint.stages[1:]:
+        offset = np.subtract(stage.origin, first.origin)
+        aside = np.linalg.norm(np.cross(offset, first.axis)) if joint.kind == "revolute" else 0.0
+        turned = np.linalg.norm(np.subtract(stage.axis, first.axis))
+        if turned > _COAXIAL_TOLERANCE or aside > _COAXIAL_TOLERANCE * simulated.mesh.radius:
+            raise ValueError(f"joint {joint.name!r} has stages about different axes; leave it at rest")
+    return {
+        "name": joint.name,
+        "nodes": [part for stage in joint.stages for part in stage.parts],
+        "axis": list(first.axis),
+        "origin": (np.asarray(first.origin) + simulated.mesh.centre).tolist(),
+        "kind": joint.kind,
+        "min": joint.minimum,
+        "max": joint.maximum,
+    }

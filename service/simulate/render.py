@@ -1,0 +1,137 @@
+"""Sunlit pictures of a posed body: z-buffer, facet shading, cast shadows, anti-aliasing by finer sampling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from gpu.mesh import Mesh
+from service.inference.articulation import Articulation, part_transforms
+from service.inference.state import Poses
+from service.simulate.raster import Floats, Visible, rasterise
+
+_SHADOW_SIZE_PX = 512
+_SHADOW_BIAS_PX = 1.5
+_LEAST_COSINE = 0.15
+
+
+@dataclass(frozen=True)
+class Light:
+    """The sun and what else lights the body. Directions are in the camera frame (z away from the camera)."""
+
+    phase_deg: float = 20.0
+    """Angle between the directions to the sun and to the camera, seen from the body; 0 is full light."""
+    sun_roll_deg: float = 35.0
+    """Direction of the sun around the line of sight, from the image's x axis towards its y axis."""
+    ambient: float = 0.02
+    """Light that reaches every face (earthshine), as a share of the sun's."""
+    specular: float = 0.25
+    """Strength of the glossy reflection."""
+    shininess: float = 25.0
+    """Sharpness of it (Blinn-Phong exponent)."""
+
+    def direction(self) -> Floats:
+        """(3,) unit vector from the body to the sun."""
+        phase, roll = np.deg2rad([self.phase_deg, self.sun_roll_deg])
+        sideways = np.sin(phase)
+        return np.array([sideways * np.cos(roll), sideways * np.sin(roll), -np.cos(phase)])
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Radiance and coverage of the body, (H, W) each; radiance 1 is a white facet that faces the sun."""
+
+    radiance: NDArray[np.float32]
+    coverage: NDArray[np.float32]
+
+
+class Renderer:
+    """Renders one body again and again. Reflectances of its pieces are drawn once, from ``rng``."""
+
+    def __init__(self, mesh: Mesh, articulation: Articulation, rng: np.random.Generator) -> None:
+        self._articulation = articulation
+        self._vertices = [part.vertices for part in mesh.parts]
+        offsets = np.cumsum([0, *(len(v) for v in self._vertices)])
+        self._faces = np.vstack([p.faces + o for p, o in zip(mesh.parts, offsets[:-1], strict=True)])
+        self._radius = mesh.radius
+        self._reflectance = _reflectances(self._faces, int(offsets[-1]), rng)
+
+    def render(self, poses: Poses, size: tuple[int, int], light: Light, oversample: int = 3) -> Picture:
+        """The body at a pose (one of them) in an image of ``size`` (width, height)."""
+        corners = self._corners(poses) * oversample
+        width, height = size[0] * oversample, size[1] * oversample
+        visible = rasterise(corners, width, height)
+        sun = light.direction()
+        radius = self._radius * float(np.exp(poses.log_scale[0])) * oversample
+        centre = np.array([*(poses.position[0] * oversample), 0.0])
+        radiance = self._shade(corners, visible, light, _shadow(corners, visible, sun, centre, radius))
+        covered = (visible.face >= 0).astype(np.float32)
+        return Picture(_pixel_means(radiance, oversample), _pixel_means(covered, oversample))
+
+    def _corners(self, poses: Poses) -> Floats:
+        transforms = part_transforms(self._articulation, poses)[0].astype(np.float64)
+        moved = [v @ m[:, :3].T + m[:, 3] for v, m in zip(self._vertices, transforms, strict=True)]
+        return np.asarray(np.vstack(moved)[self._faces])
+
+    def _shade(self, corners: Floats, visible: Visible, light: Light, lit: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Lambert and Blinn-Phong per facet; the side that is seen is the side that is lit."""
+        sun = light.direction()
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        normal = np.where(normal[:, 2:] > 0, -normal, normal)
+        half = sun + np.array([0.0, 0.0, -1.0])
+        half = half / max(float(np.linalg.norm(half)), 1e-12)
+        towards_sun = np.maximum(normal @ sun, 0.0)
+        gloss = light.specular * np.maximum(normal @ half, 0.0) ** light.shininess * (towards_sun > 0)
+        direct = self._reflectance * towards_sun + gloss
+        ambient = self._reflectance * light.ambient
+        out = np.zeros(visible.face.shape, dtype=np.float32)
+        seen = visible.face >= 0
+        face = visible.face[seen]
+        out[seen] = ambient[face] + direct[face] * lit[seen]
+        return out
+
+
+def _pixel_means(fine: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    height, width = fine.shape[0] // factor, fine.shape[1] // factor
+    blocks = fine.reshape(height, factor, width, factor)
+    return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32)
+
+
+def _shadow(corners: Floats, visible: Visible, sun: Floats, centre: Floats, radius: float) -> NDArray[np.bool_]:
+    """(H, W) whether the sun reaches what each pixel sees: the scene once more, seen from the sun."""
+    basis = _sun_basis(sun)
+    zoom = _SHADOW_SIZE_PX / (2.0 * radius)
+    middle = np.array([0.5, 0.5, 0.0]) * _SHADOW_SIZE_PX
+    from_sun = (corners - centre) @ basis.T * zoom + middle
+    nearest = rasterise(from_sun, _SHADOW_SIZE_PX, _SHADOW_SIZE_PX).depth
+    rows, columns = np.nonzero(visible.face >= 0)
+    points = np.column_stack([columns + 0.5, rows + 0.5, visible.depth[rows, columns]])
+    seen = (points - centre) @ basis.T * zoom + middle
+    x, y = (np.clip(seen[:, k], 0, _SHADOW_SIZE_PX - 1).astype(np.int64) for k in (0, 1))
+    normal = np.cross(from_sun[:, 1] - from_sun[:, 0], from_sun[:, 2] - from_sun[:, 0])
+    cosine = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+    bias = _SHADOW_BIAS_PX / np.maximum(cosine, _LEAST_COSINE)  # a slanted facet crosses several depths a pixel
+    lit = np.zeros(visible.face.shape, dtype=np.bool_)
+    lit[rows, columns] = seen[:, 2] <= nearest[y, x] + bias[visible.face[rows, columns]]
+    return lit
+
+
+def _sun_basis(sun: Floats) -> Floats:
+    """(3, 3) rotation whose third row points away from the sun."""
+    away = -sun
+    aside = np.cross([0.0, 1.0, 0.0] if abs(away[1]) < 0.9 else [1.0, 0.0, 0.0], away)
+    aside /= np.linalg.norm(aside)
+    return np.stack([aside, np.cross(away, aside), away])
+
+
+def _reflectances(faces: NDArray[np.integer], n_vertices: int, rng: np.random.Generator) -> Floats:
+    """(F,) one reflectance per connected piece: painted metal, foil and cells differ, one panel does not."""
+    a, b = np.concatenate([faces[:, 0], faces[:, 1]]), np.concatenate([faces[:, 1], faces[:, 2]])
+    links = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(n_vertices, n_vertices))
+    count, piece = connected_components(links, directed=False)
+    return np.asarray(rng.uniform(0.35, 0.95, count)[piece[faces[:, 0]]])

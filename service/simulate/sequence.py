@@ -1,0 +1,79 @@
+"""A scenario and a mesh -> background images, frames and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpu.mesh import Mesh
+from service.inference.articulation import Articulation
+from service.simulate.atmosphere import Atmosphere
+from service.simulate.camera import Image, Sensor
+from service.simulate.motion import Track, plan_track
+from service.simulate.render import Picture, Renderer
+from service.simulate.scenario import Scenario
+
+_MOTION, _PAINT, _AIR, _STARS, _NOISE, _BACKGROUND_NOISE = range(6)
+
+
+class SimulatedPass:
+    """One pass. Its images are made when they are asked for; every iteration makes the same ones."""
+
+    def __init__(self, mesh: Mesh, articulation: Articulation, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.mesh = mesh
+        self.articulation = articulation
+        self.track: Track = plan_track(
+            scenario.motion,
+            articulation,
+            mesh.radius,
+            scenario.size,
+            self._rng(_MOTION),
+            scenario.air.image_motion_px(),
+        )
+        self._renderer = Renderer(mesh, articulation, self._rng(_PAINT))
+
+    def backgrounds(self) -> Iterator[Image]:
+        """Images of empty sky, taken before the pass."""
+        count = self.scenario.background_frames
+        interval = self.scenario.motion.frame_interval_s
+        empty = [self._empty()] * count
+        times = np.arange(-count, 0, dtype=np.float64) * interval
+        yield from self._exposures(empty, times, _BACKGROUND_NOISE)
+
+    def frames(self) -> Iterator[Image]:
+        """The images of the pass, in order."""
+        yield from self._exposures(self._pictures(), self.track.time_s, _NOISE)
+
+    def picture(self, index: int) -> Picture:
+        """The body at a frame's true pose, as it would be seen without air and sensor."""
+        if not self.track.visible[index]:
+            return self._empty()
+        pose = self.track.poses[index : index + 1]
+        return self._renderer.render(pose, self.scenario.size, self.scenario.light)
+
+    def _pictures(self) -> Iterator[Picture]:
+        for index in range(len(self.track.time_s)):
+            yield self.picture(index)
+
+    def _exposures(
+        self, pictures: Iterator[Picture] | list[Picture], times: NDArray[np.float64], purpose: int
+    ) -> Iterator[Image]:
+        scenario = self.scenario
+        air = Atmosphere(scenario.air, scenario.size, self._rng(_AIR, purpose))
+        sensor = Sensor(scenario.camera, scenario.size, self._rng(_STARS))
+        noise = self._rng(purpose)
+        for picture, time_s in zip(pictures, times, strict=True):
+            stars = sensor.star_layer(float(time_s), scenario.motion.frame_interval_s)
+            layers = air.expose(picture.radiance, picture.coverage, stars)
+            radiance, coverage, stars = layers
+            yield sensor.read(radiance * np.float32(air.gain()), coverage, stars, noise)
+
+    def _empty(self) -> Picture:
+        nothing = np.zeros(self.scenario.size[::-1], dtype=np.float32)
+        return Picture(nothing, nothing)
+
+    def _rng(self, *purpose: int) -> np.random.Generator:
+        return np.random.default_rng([self.scenario.seed, *purpose])
