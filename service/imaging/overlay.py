@@ -1,0 +1,54 @@
+"""A frame with a silhouette drawn over it in blue (the paper's Table 1), for people to look at."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import ImageError
+
+RGB = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+BLUE = (40, 100, 255)
+_TINT = 0.4
+_LEAST_SPAN = {8: 64.0, 16: 256.0}
+_DARK_PERCENTILE, _BRIGHT_PERCENTILE = 1.0, 99.9
+
+
+def for_display(image: NDArray[np.uint8] | NDArray[np.uint16]) -> RGB:
+    """(H, W) or (H, W, 3) of 8 or 16 bits -> (H, W, 3) uint8 RGB.
+
+    8-bit colour stays as it is. Anything else is stretched between its dark and bright percentiles; a frame of
+    nothing but noise stays dark, because the stretch has a least span.
+    """
+    bits = image.dtype.itemsize * 8
+    if image.ndim == 3 and bits == 8:
+        return np.asarray(image, dtype=np.uint8)
+    low, high = np.percentile(image, (_DARK_PERCENTILE, _BRIGHT_PERCENTILE))
+    span = max(float(high - low), _LEAST_SPAN[bits])
+    stretched = np.clip((image.astype(np.float32) - low) * (255.0 / span), 0, 255).astype(np.uint8)
+    return stretched if image.ndim == 3 else np.repeat(stretched[:, :, None], 3, axis=2)
+
+
+def draw_overlay(image: NDArray[np.uint8] | NDArray[np.uint16], mask: Mask) -> RGB:
+    """(H, W, 3) uint8 RGB: the image, tinted blue where ``mask`` (H, W) is set, with a blue outline."""
+    picture = for_display(image).astype(np.float32)
+    picture[mask] = (1 - _TINT) * picture[mask] + _TINT * np.array(BLUE, dtype=np.float32)
+    inside = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+    picture[mask & (inside == 0)] = BLUE
+    return np.rint(picture).astype(np.uint8)
+
+
+def draw_silhouette(mask: Mask) -> RGB:
+    """(H, W, 3) uint8 RGB: the silhouette alone, white on black."""
+    return np.repeat(mask[:, :, None].astype(np.uint8) * np.uint8(255), 3, axis=2)
+
+
+def encode_png(picture: RGB) -> bytes:
+    """PNG bytes of an (H, W, 3) uint8 RGB picture."""
+    done, data = cv2.imencode(".png", np.ascontiguousarray(picture[:, :, ::-1]))
+    if not done:
+        raise ImageError(f"a picture of shape {picture.shape} cannot be written as PNG")
+    return data.tobytes()
