@@ -71,7 +71,11 @@ class Sky:
 
 
 def learn(
-    background: Background | None, image: NDArray[np.generic], bits: int, spec: FeatureSpec, known: NDArray[np.bool_]
+    background: Background | None,
+    image: NDArray[np.generic],
+    bits: int,
+    spec: FeatureSpec,
+    known: NDArray[np.bool_],
 ) -> Background:
     """Add one image (H, W) or (H, W, C) of which the ``known`` pixels (H, W) show sky."""
     frame = image[..., None] if image.ndim == 2 else image

@@ -25,6 +25,9 @@ from service.imaging.psf import estimate_psf_sigma
 
 _DEFAULT_PSF_SIGMA_PX = 1.0
 _DETECTION_SIGMA = 4.0  # of smoothed noise: fainter light is no evidence
+_FAINT_SIGMA_PX = 2.0
+_FAINT_DETECTION = 3.5
+_FAINT_NATS = 1.5
 _HALF = 0.5  # share of the local maximum at which a blurred edge stands
 
 
@@ -107,4 +110,23 @@ def contrast_log_ratio(
     bright = cv2.GaussianBlur(cv2.dilate(s, disc), (0, 0), max(psf_sigma_px, 0.5))
     threshold = np.maximum(_HALF * bright, _DETECTION_SIGMA * noise)
     softness = np.maximum(0.075 * bright, 0.75 * noise)
-    return np.clip((s - threshold) / softness, -covered_empty_nats, uncovered_bright_nats)
+    sharp = (s - threshold) / softness
+    near_light = cv2.dilate((sharp > 0).astype(np.uint8), disc) > 0
+    faint = np.minimum(faint_light(residual, sky, near_light), _FAINT_NATS)
+    log_ratio = np.where(near_light, sharp, np.maximum(sharp, faint))
+    return np.clip(log_ratio, -covered_empty_nats, uncovered_bright_nats).astype(np.float32)
+
+
+def faint_light(residual: NDArray[np.float32], sky: Sky, near_light: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(H, W) evidence for parts too dim to be seen in single pixels: the mean over a neighbourhood that leaves out
+    bright parts and what the point spread carries out of them, in units of its own noise."""
+    weight = 1.0 - near_light.astype(np.float32)
+    share = cv2.GaussianBlur(weight, (0, 0), _FAINT_SIGMA_PX)
+    # A Gaussian squared is a Gaussian of sigma / sqrt(2) over 4 pi sigma^2.
+    variance = cv2.GaussianBlur(weight, (0, 0), _FAINT_SIGMA_PX / np.sqrt(2)) / (4 * np.pi * _FAINT_SIGMA_PX**2)
+    total = cv2.GaussianBlur(residual * weight[..., None], (0, 0), _FAINT_SIGMA_PX).reshape(residual.shape)
+    z = total / sky.sigma / np.sqrt(np.maximum(variance, 1e-6))[..., None]
+    z = z / np.maximum(1.0, 1.4826 * np.median(np.abs(z), axis=(0, 1)))  # the sky's own structure is noise too
+    significance = np.sqrt(np.sum(z * z, axis=2))
+    evidence = (significance - _FAINT_DETECTION) / 1.5
+    return np.asarray(np.where((share > 0.2) & (weight > 0), evidence, -np.inf), dtype=np.float32)

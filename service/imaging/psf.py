@@ -19,7 +19,8 @@ def estimate_psf_sigma(contrast: NDArray[np.float32]) -> float | None:
     """
     z = cv2.GaussianBlur(contrast, (0, 0), _PRESMOOTH_PX)
     slope = np.hypot(
-        cv2.Sobel(z, cv2.CV_32F, 1, 0, ksize=3, scale=0.125), cv2.Sobel(z, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
+        cv2.Sobel(z, cv2.CV_32F, 1, 0, ksize=3, scale=0.125),
+        cv2.Sobel(z, cv2.CV_32F, 0, 1, ksize=3, scale=0.125),
     )
     window = np.ones((9, 9), dtype=np.uint8)
     low = cv2.erode(z, window)

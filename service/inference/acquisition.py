@@ -62,9 +62,7 @@ def draw_joints(rng: np.random.Generator, domain: Domain, count: int) -> Array:
     return least + unit[rng.permutation(count)] * (greatest - least)
 
 
-def place(
-    rng: np.random.Generator, domain: Domain, evidence: Evidence, score_maps: ScoreMaps, count: int
-) -> Poses:
+def place(rng: np.random.Generator, domain: Domain, evidence: Evidence, score_maps: ScoreMaps, count: int) -> Poses:
     """``count`` poses that cover all rotations and joints, each with the evidence's area and centroid."""
     poses = Poses(
         spread_rotations(rng, count),
@@ -79,9 +77,7 @@ def place(
     scale_ratio = np.exp(log_scale - poses.log_scale)
     jitter = _POSITION_JITTER * evidence.radius_px * rng.standard_normal((count, 2))
     position = evidence.centroid - offset * scale_ratio[:, None] + jitter
-    return Poses(
-        poses.quaternion, np.clip(position, 0, (domain.width, domain.height)), log_scale, poses.joints
-    )
+    return Poses(poses.quaternion, np.clip(position, 0, (domain.width, domain.height)), log_scale, poses.joints)
 
 
 def _silhouette_moments(poses: Poses, domain: Domain, score_maps: ScoreMaps) -> tuple[Array, Array]:

@@ -61,7 +61,9 @@ class Articulation:
         return np.array([joint.initial for joint in self.joints], dtype=np.float64)
 
 
-def hold(articulation: Articulation, free: Literal["all"] | Collection[str], fixed: Mapping[str, float]) -> Articulation:
+def hold(
+    articulation: Articulation, free: Literal["all"] | Collection[str], fixed: Mapping[str, float]
+) -> Articulation:
     """Keep the joints named in ``free`` as variables; hold the others at ``fixed`` or their initial value.
 
     Raises ``ValueError`` for a name that is no joint, one that is both free and fixed, or a value out of range.

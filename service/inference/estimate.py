@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.inference.modes import cluster
-from service.inference.pose import local, log_so3, multiply, conjugate, exp_so3, yaw_pitch_roll_deg
+from service.inference.pose import conjugate, exp_so3, local, log_so3, multiply, yaw_pitch_roll_deg
 from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses, Spread
 from service.inference.weights import effective_sample_size
 
@@ -85,23 +85,27 @@ def summarise(
     *,
     status: str,
     log_evidence: float,
+    log_background: float,
+    best: tuple[Poses, float] | None,
     joint_radius: Array,
     wrapping: np.ndarray,
 ) -> Estimate:
-    """Everything that a frame's answer says of the posterior."""
+    """Everything that a frame's answer says of the posterior; ``log_background`` is the constant of Eq. 2."""
     weights = np.exp(log_weights)
     mean = mean_pose(poses, weights, wrapping)
-    best = int(np.argmax(log_likelihood))
+    if best is None:
+        top = int(np.argmax(log_likelihood))
+        best = poses[top : top + 1], float(log_likelihood[top])
     return Estimate(
         status=status,
         mean=report(mean),
-        best=report(poses[best : best + 1]),
-        best_log_likelihood=float(log_likelihood[best]),
+        best=report(best[0]),
+        best_log_likelihood=best[1] + log_background,
         spread=spread(poses, weights, mean, wrapping),
         modes=find_modes(poses, weights, log_likelihood, joint_radius, wrapping),
         n_particles=len(weights),
         ess=effective_sample_size(log_weights),
-        log_evidence=log_evidence,
+        log_evidence=log_evidence + log_background,
     )
 
 

@@ -5,14 +5,26 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from service.inference.articulation import Articulation
 from service.inference.pose import angle_between
 from service.inference.state import Array, Poses
 
 Labels = NDArray[np.intp]
 
 CLUSTER_RADIUS_DEG = 15.0
-JOINT_RADIUS = 30.0  # degrees; two joint values further apart than this are two answers
+JOINT_RADIUS_DEG = 30.0  # two joint values further apart than this are two answers
+JOINT_RADIUS_SHARE = 0.15  # the same for a prismatic joint, of its range
 MAX_CLUSTERS = 32
+
+
+def joint_radius(articulation: Articulation) -> Array:
+    """(J,) how far two joint values of one mode may be apart."""
+    return np.array(
+        [
+            JOINT_RADIUS_DEG if joint.kind == "revolute" else JOINT_RADIUS_SHARE * (joint.maximum - joint.minimum)
+            for joint in articulation.joints
+        ]
+    )
 
 
 def distance(poses: Poses, seed: Poses, joint_radius: Array) -> Array:

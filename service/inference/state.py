@@ -78,6 +78,29 @@ class Measurement:
 
 
 @dataclass(frozen=True)
+class Frame:
+    """One frame as the filter sees it."""
+
+    index: int
+    time_s: float
+    measurement: Measurement
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The posterior after a frame, before it is summarised."""
+
+    poses: Poses
+    log_weights: Array  # (N,)
+    log_likelihood: Array  # (N,) particle term of Eq. 4
+    rates: Array  # (N, 6 + J)
+    status: str
+    log_evidence: float
+    memory: Mapping[str, NDArray[np.generic]]
+    best: tuple[Poses, float] | None = None  # a pose of higher likelihood than any particle's, if one was sought
+
+
+@dataclass(frozen=True)
 class PoseEstimate:
     """One pose to report."""
 

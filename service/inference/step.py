@@ -3,33 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.domain import Domain, sample_prior
 from service.inference.estimate import summarise
+from service.inference.modes import joint_radius
 from service.inference.motion import diffusion, propagate
 from service.inference.params import SessionConfig
 from service.inference.resample import RESAMPLERS
-from service.inference.state import Array, Estimate, FilterState, Measurement, Poses
-from service.inference.tracking import Outcome, tempered_update
+from service.inference.state import Array, Estimate, FilterState, Frame, Outcome, Poses
+from service.inference.tracking import tempered_update
 from service.inference.weights import normalise
 
 ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
-
-JOINT_RADIUS_DEG = 30.0
-JOINT_RADIUS_SHARE = 0.15  # of a prismatic joint's range
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One frame as the filter sees it."""
-
-    index: int
-    time_s: float
-    measurement: Measurement
 
 
 def step(
@@ -53,18 +41,26 @@ def step(
     if config.filter.method == "bootstrap":
         outcome = bootstrap_update(rng, state, frame, score, config, domain)
     else:
-        outcome = tempered_update(rng, state, frame, score_maps, config, domain, joint_radius(domain))
+        outcome = tempered_update(rng, state, frame, score_maps, config, domain)
     estimate = summarise(
         outcome.poses,
         outcome.log_weights,
-        outcome.log_likelihood + frame.measurement.log_background,
+        outcome.log_likelihood,
+        log_background=frame.measurement.log_background,
         status=outcome.status,
-        log_evidence=outcome.log_evidence + frame.measurement.log_background,
-        joint_radius=joint_radius(domain),
+        log_evidence=outcome.log_evidence,
+        best=outcome.best,
+        joint_radius=joint_radius(domain.articulation),
         wrapping=domain.wrapping,
     )
     new_state = FilterState(
-        outcome.poses, outcome.log_weights, outcome.rates, frame.index, frame.time_s, outcome.status, outcome.memory
+        outcome.poses,
+        outcome.log_weights,
+        outcome.rates,
+        frame.index,
+        frame.time_s,
+        outcome.status,
+        outcome.memory,
     )
     return new_state, estimate
 
@@ -112,14 +108,4 @@ def where(condition: NDArray[np.bool_], a: Poses, b: Poses) -> Poses:
         np.where(c, a.position, b.position),
         np.where(condition, a.log_scale, b.log_scale),
         np.where(c, a.joints, b.joints),
-    )
-
-
-def joint_radius(domain: Domain) -> Array:
-    """(J,) how far two joint values of one mode may be apart."""
-    return np.array(
-        [
-            JOINT_RADIUS_DEG if joint.kind == "revolute" else JOINT_RADIUS_SHARE * (joint.maximum - joint.minimum)
-            for joint in domain.articulation.joints
-        ]
     )

@@ -8,12 +8,12 @@ whose covariance is that of the particle's own cluster, so they shrink with the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from service.inference.modes import Labels, cluster
-from service.inference.pose import local, retract
+from service.inference.pose import concatenate, local, retract
 from service.inference.resample import RESAMPLERS
 from service.inference.state import Array, Poses
 from service.inference.weights import log_sum_exp, next_exponent
@@ -35,11 +35,22 @@ class Population:
         return Population(self.poses[index], self.log_likelihood[index], centre, self.rates[index])
 
 
+def join(a: Population, b: Population) -> Population:
+    """Both populations as one; neither then has a prediction of its own."""
+    return Population(
+        concatenate(a.poses, b.poses),
+        np.concatenate([a.log_likelihood, b.log_likelihood]),
+        None,
+        np.concatenate([a.rates, b.rates]),
+    )
+
+
 @dataclass(frozen=True)
 class Tempering:
     """How to approach the likelihood."""
 
     exponent: float  # where beta ends
+    start: float = field(default=0.0, kw_only=True)  # where beta begins
     target_ess: float
     moves: int  # least number of steps
     resampler: str
@@ -56,7 +67,7 @@ def temper(
     count: int,
 ) -> tuple[Population, float, int]:
     """Run the steps; returns ``count`` equally weighted particles, the log evidence and the number of moves."""
-    beta, log_evidence, step = 0.0, 0.0, 0
+    beta, log_evidence, step = plan.start, 0.0, 0
     while beta < plan.exponent or step < plan.moves:
         n = len(population.log_likelihood)
         uniform = np.full(n, -np.log(n))

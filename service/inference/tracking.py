@@ -3,105 +3,151 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.inference.acquisition import find_evidence, place
+from service.inference.acquisition import Evidence, find_evidence, place
 from service.inference.domain import Domain
+from service.inference.modes import cluster, distance, joint_radius
 from service.inference.motion import carry_on, diffusion, propagate
 from service.inference.params import SessionConfig
 from service.inference.pose import local
 from service.inference.resample import RESAMPLERS
-from service.inference.state import Array, FilterState, Measurement, Poses
-from service.inference.tempering import Population, Tempering, temper
+from service.inference.state import Array, FilterState, Frame, Outcome, Poses
+from service.inference.tempering import Population, Tempering, join, temper
 
 ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
 
 ESTABLISHED_FRAMES = 3  # frames of support in a row before a track is called one
-SUPPORT_LOST = 0.35  # share of the frame's light that the best silhouette must explain
-SUPPORT_DROP = 0.6  # of the track's own usual support: below it, the whole space is searched again
-RATE_GAIN = 0.5
-
-
-class FrameLike(Protocol):
-    """What this module needs of a frame."""
-
-    @property
-    def index(self) -> int:
-        """Index in the session."""
-
-    @property
-    def time_s(self) -> float:
-        """Time of the frame."""
-
-    @property
-    def measurement(self) -> Measurement:
-        """Its measurement."""
+SUPPORT_FLOOR = 0.3  # share of the frame's light that the best silhouette must explain
+SUPPORT_DROP = 0.6  # of the track's own usual support; below it the whole space is searched again
+RATE_GAIN = 0.4
+SETTLING = 2.0  # the prediction is this much wider while the rates are not known yet
+LEAST_DIFFUSION = 0.15  # of the configured one, when the track has proved to be steady
+FADE = 0.85  # of the running averages, per frame
+SHARPEN_PARTICLES = 100
+NEWCOMER = 0.1  # prior share of what a renewed search finds beside a track
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """The posterior after a frame."""
+class Update:
+    """What the parts of one frame's update share."""
 
-    poses: Poses
-    log_weights: Array
-    log_likelihood: Array
-    rates: Array
-    status: str
-    log_evidence: float
-    memory: Mapping[str, NDArray[np.generic]]
+    rng: np.random.Generator
+    state: FilterState | None
+    frame: Frame
+    score_maps: ScoreMaps
+    config: SessionConfig
+    domain: Domain
+
+    @cached_property
+    def maps(self) -> NDArray[np.float32]:
+        """(1, H, W): one array, so that the scorer knows it again."""
+        return self.frame.measurement.log_ratio[None]
+
+    @cached_property
+    def light(self) -> float:
+        """Sum of the map's positive part: what a silhouette could explain at most."""
+        return float(np.sum(np.maximum(self.frame.measurement.log_ratio, 0.0)))
+
+    @property
+    def dt_s(self) -> float:
+        """Time since the last frame."""
+        return 1e-3 if self.state is None else max(self.frame.time_s - self.state.time_s, 1e-3)
+
+    def score(self, poses: Poses) -> Array:
+        """(N,) the particle term of Eq. 4."""
+        return self.score_maps(poses, self.maps)[:, 0]
+
+    def recall(self, name: str, otherwise: Array | float) -> Array:
+        """Something remembered from earlier frames."""
+        if self.state is None or name not in self.state.memory:
+            return np.asarray(otherwise, dtype=np.float64)
+        return np.asarray(self.state.memory[name], dtype=np.float64)
+
+    def plan(self, deviation: Array, moves: int) -> Tempering:
+        """How to approach this frame's likelihood."""
+        chosen = self.config.filter
+        radius = joint_radius(self.domain.articulation)
+        exponent = self.config.likelihood.exponent
+        return Tempering(exponent, chosen.target_ess, moves, chosen.resampler, deviation, radius)
 
 
 def tempered_update(
     rng: np.random.Generator,
     state: FilterState | None,
-    frame: FrameLike,
+    frame: Frame,
     score_maps: ScoreMaps,
     config: SessionConfig,
     domain: Domain,
-    joint_radius: Array,
 ) -> Outcome:
-    """One frame of the default filter."""
-    log_ratio = frame.measurement.log_ratio
-    light = float(np.sum(np.maximum(log_ratio, 0.0)))
+    """One frame of the default filter.
 
-    stack = log_ratio[None]  # one array, so that the scorer knows it again
+    Follows the track where there is one. Searches the whole space where there is none, where it is not yet
+    established, or where the image does not support it any more; what the search finds stands beside the track
+    with the weight that the likelihoods give it.
+    """
+    update = Update(rng, state, frame, score_maps, config, domain)
+    evidence = find_evidence(frame.measurement.log_ratio)
+    if evidence is None:
+        return unseen(update)
+    known = update.recall("age", 0.0) > 0
+    established = state is not None and state.status == "tracking"
+    found = follow(update) if known else None
+    if found is None or not established or not supported(update, found[0]):
+        searched = search(update, evidence)
+        found = searched if found is None else side_by_side(update, found, searched)
+    if float(np.max(found[0].log_likelihood)) <= 0.0:
+        return unseen(update)
+    return conclude(update, *found)
 
-    def score(poses: Poses) -> Array:
-        return score_maps(poses, stack)[:, 0]
 
-    def run(population: Population, deviation: Array, moves: int) -> tuple[Population, float]:
-        plan = Tempering(
-            config.likelihood.exponent,
-            config.filter.target_ess,
-            moves,
-            config.filter.resampler,
-            deviation,
-            joint_radius,
-        )
-        result, log_evidence, _ = temper(rng, population, score, domain.contains, plan, config.filter.particles)
-        return result, log_evidence
+def follow(update: Update) -> tuple[Population, float]:
+    """Resample at the head of the step, carry on by the rates, spread by the motion's diffusion, temper."""
+    state, config, domain = update.state, update.config, update.domain
+    assert state is not None, "there is a track to follow"
+    ancestors = RESAMPLERS[config.filter.resampler](update.rng, state.log_weights, config.filter.particles)
+    before, rates = state.poses[ancestors], state.rates[ancestors]
+    if config.motion.kind == "jitter":
+        rates = np.zeros_like(rates)
+    centre = domain.wrap(carry_on(before, rates, update.dt_s))
+    deviation = prediction_deviation(update)
+    poses = domain.wrap(propagate(update.rng, centre, deviation))
+    log_likelihood = np.where(domain.contains(poses), update.score(poses), -update.light)
+    population = Population(poses, log_likelihood, centre, rates)
+    plan = update.plan(deviation, config.filter.moves)
+    population, log_evidence, _ = temper(
+        update.rng, population, update.score, domain.contains, plan, config.filter.particles
+    )
+    return population, log_evidence
 
-    tracked: tuple[Population, float] | None = None
-    usual = 0.0
-    if state is not None and state.status in ("acquiring", "tracking"):
-        population, deviation = predict(rng, state, frame, score, config, domain)
-        tracked = run(population, deviation, config.filter.moves)
-        usual = float(np.asarray(state.memory.get("support", 0.0)))
-        if support(tracked[0], light) < max(SUPPORT_LOST, SUPPORT_DROP * usual):
-            tracked = None
-    if tracked is None:
-        evidence = find_evidence(log_ratio)
-        if evidence is None:
-            return nothing_seen(rng, state, frame, config, domain)
-        poses = place(rng, domain, evidence, score_maps, config.filter.acquisition_particles)
-        start = Population(poses, score(poses), None, np.zeros((len(poses), domain.n_tangent)))
-        tracked = run(start, widest_move(domain), config.filter.acquisition_moves)
-    population, log_evidence = tracked
-    return conclude(state, frame, population, log_evidence, light, usual, domain)
+
+def prediction_deviation(update: Update) -> Array:
+    """(6 + J,) standard deviation of this frame's prediction: wide at first, then as the innovations have been."""
+    widest = diffusion(update.config.motion, update.domain) * np.sqrt(update.dt_s)
+    if update.recall("age", 0.0) < ESTABLISHED_FRAMES:
+        return SETTLING * widest
+    innovation = 2.0 * np.sqrt(update.recall("innovation", widest**2))
+    return np.clip(
+        innovation * np.sqrt(update.dt_s / update.recall("dt_s", update.dt_s)),
+        LEAST_DIFFUSION * widest,
+        SETTLING * widest,
+    )
+
+
+def search(update: Update, evidence: Evidence) -> tuple[Population, float]:
+    """Rotations and joints over the whole space, placed on the evidence, tempered down."""
+    config, domain = update.config, update.domain
+    poses = place(update.rng, domain, evidence, update.score_maps, config.filter.acquisition_particles)
+    start = Population(poses, update.score(poses), None, np.zeros((len(poses), domain.n_tangent)))
+    plan = update.plan(widest_move(domain), config.filter.acquisition_moves)
+    population, log_evidence, _ = temper(
+        update.rng, start, update.score, domain.contains, plan, config.filter.particles
+    )
+    return population, log_evidence
 
 
 def widest_move(domain: Domain) -> Array:
@@ -111,68 +157,104 @@ def widest_move(domain: Domain) -> Array:
     return np.array([0.4, 0.4, 0.4, 0.05 * side, 0.05 * side, 0.15, *(0.1 * (greatest - least))])
 
 
-def predict(
-    rng: np.random.Generator,
-    state: FilterState,
-    frame: FrameLike,
-    score: Callable[[Poses], Array],
-    config: SessionConfig,
-    domain: Domain,
-) -> tuple[Population, Array]:
-    """Resample at the head of the step, carry on by the rates, and spread by the motion's diffusion."""
-    ancestors = RESAMPLERS[config.filter.resampler](rng, state.log_weights, config.filter.particles)
-    before, rates = state.poses[ancestors], state.rates[ancestors]
-    dt_s = max(frame.time_s - state.time_s, 1e-3)
-    if config.motion.kind == "jitter":
-        rates = np.zeros_like(rates)
-    centre = carry_on(before, rates, dt_s)
-    deviation = diffusion(config.motion, domain) * np.sqrt(dt_s)
-    poses = propagate(rng, centre, deviation)
-    inside = domain.contains(poses)
-    log_likelihood = np.where(inside, score(poses), -1e6)
-    return Population(poses, log_likelihood, centre, rates), deviation
+def supported(update: Update, population: Population) -> bool:
+    """Whether the best silhouette explains as much of the light as it should, and as it used to."""
+    usual = float(update.recall("support", 0.0))
+    return support(update, population) >= max(SUPPORT_FLOOR, SUPPORT_DROP * usual)
 
 
-def support(population: Population, light: float) -> float:
-    """Share of the frame's light (sum of the map's positive part) that the best silhouette explains."""
-    return float(np.max(population.log_likelihood)) / max(light, 1e-9)
+def support(update: Update, population: Population) -> float:
+    """Share of the frame's light that the best silhouette explains, less what it covers in vain."""
+    return float(np.max(population.log_likelihood)) / max(update.light, 1e-9)
 
 
-def nothing_seen(
-    rng: np.random.Generator, state: FilterState | None, frame: FrameLike, config: SessionConfig, domain: Domain
-) -> Outcome:
-    """No light at all: the posterior is the prediction, or the placement on the image's centre."""
-    raise NotImplementedError
+def side_by_side(
+    update: Update, tracked: tuple[Population, float], searched: tuple[Population, float]
+) -> tuple[Population, float]:
+    """The track, and what a search has found elsewhere, weighted by the likelihoods of their best silhouettes."""
+    old, new = tracked[0], searched[0]
+    radius = joint_radius(update.domain.articulation)
+    top = int(np.argmax(old.log_likelihood))
+    elsewhere = np.flatnonzero(distance(new.poses, old.poses[top : top + 1], radius) > 1.0)
+    if len(elsewhere) == 0:
+        return tracked
+    exponent = update.config.likelihood.exponent
+    gain = exponent * (float(np.max(new.log_likelihood[elsewhere])) - float(old.log_likelihood[top]))
+    share = NEWCOMER * len(elsewhere) / len(new.log_likelihood) * np.exp(np.minimum(gain, 50.0))
+    share = share / (share + 1.0 - NEWCOMER)
+    weights = np.concatenate(
+        [
+            np.full(len(old.log_likelihood), (1 - share) / len(old.log_likelihood)),
+            np.full(len(elsewhere), share / len(elsewhere)),
+        ]
+    )
+    both = join(old, new[elsewhere])
+    pick = RESAMPLERS["systematic"](update.rng, np.log(np.maximum(weights, 1e-300)), len(old.log_likelihood))
+    return both[pick], tracked[1]
 
 
-def conclude(
-    state: FilterState | None,
-    frame: FrameLike,
-    population: Population,
-    log_evidence: float,
-    light: float,
-    usual: float,
-    domain: Domain,
-) -> Outcome:
+def sharpen(update: Update, population: Population, deviation: Array) -> tuple[Poses, float]:
+    """The pose of highest likelihood near the best particle: a small population tempered on to the full exponent."""
+    radius = joint_radius(update.domain.articulation)
+    top = int(np.argmax(population.log_likelihood))
+    near = np.flatnonzero(distance(population.poses, population.poses[top : top + 1], radius) <= 1.0)
+    few = near[np.argsort(-population.log_likelihood[near])[:SHARPEN_PARTICLES]]
+    start = replace(population[few], centre=None)
+    plan = replace(update.plan(deviation, 3), exponent=1.0, start=update.config.likelihood.exponent)
+    sharp, _, _ = temper(update.rng, start, update.score, update.domain.contains, plan, SHARPEN_PARTICLES)
+    best = int(np.argmax(sharp.log_likelihood))
+    return update.domain.wrap(sharp.poses[best : best + 1]), float(sharp.log_likelihood[best])
+
+
+def unseen(update: Update) -> Outcome:
+    """No object in the image: the posterior is the prediction, which widens until it is seen again."""
+    state, domain, config = update.state, update.domain, update.config
+    count = config.filter.particles
+    if state is not None and update.recall("age", 0.0) > 0:
+        rates = state.rates if config.motion.kind != "jitter" else np.zeros_like(state.rates)
+        centre = domain.wrap(carry_on(state.poses, rates, update.dt_s))
+        moved = propagate(update.rng, centre, prediction_deviation(update))
+        poses = Poses(
+            moved.quaternion,
+            np.clip(moved.position, 0, (domain.width, domain.height)),
+            state.poses.log_scale,
+            moved.joints,
+        )
+        memory: Mapping[str, NDArray[np.generic]] = state.memory
+        log_weights = state.log_weights
+    else:
+        nowhere = Evidence(0.25 * domain.width * domain.height, 0.5 * np.array([domain.width, domain.height]), 1.0)
+        poses = place(update.rng, domain, nowhere, update.score_maps, count)
+        rates, memory = np.zeros((count, domain.n_tangent)), {}
+        log_weights = np.full(count, -np.log(count))
+    log_likelihood = update.score(domain.wrap(poses))
+    return Outcome(domain.wrap(poses), log_weights, log_likelihood, rates, "no_target", 0.0, memory)
+
+
+def conclude(update: Update, population: Population, log_evidence: float) -> Outcome:
     """Rates, status and memory after the frame."""
     n = len(population.log_likelihood)
-    rates = population.rates
-    if population.centre is not None and state is not None:
-        dt_s = max(frame.time_s - state.time_s, 1e-3)
-        innovation = local(population.centre, population.poses).mean(axis=0)
-        rates = rates + RATE_GAIN * innovation / dt_s
-    fit = support(population, light)
-    age = int(np.asarray(state.memory.get("age", 0))) + 1 if state is not None and population.centre is not None else 1
-    status = "tracking" if age >= ESTABLISHED_FRAMES else "acquiring"
-    return Outcome(
-        domain.wrap(population.poses),
-        np.full(n, -np.log(n)),
-        population.log_likelihood,
-        rates,
-        status,
-        log_evidence,
-        {
-            "age": np.array(age),
-            "support": np.array(fit if usual == 0 else 0.8 * usual + 0.2 * fit),
-        },
-    )
+    poses, rates = update.domain.wrap(population.poses), population.rates
+    memory: dict[str, NDArray[np.generic]] = {}
+    if population.centre is not None:
+        innovation = local(population.centre, population.poses)
+        labels = cluster(poses, population.log_likelihood, joint_radius(update.domain.articulation))
+        counts = np.maximum(np.bincount(labels), 1)
+        means = (
+            np.stack([np.bincount(labels, innovation[:, i]) for i in range(innovation.shape[1])], 1) / counts[:, None]
+        )
+        age = float(update.recall("age", 0.0))
+        gain = max(RATE_GAIN, 1.0 / max(age, 1.0))
+        rates = rates + gain * means[labels] / update.dt_s
+        fade = FADE if age >= ESTABLISHED_FRAMES else 0.0
+        memory["innovation"] = fade * update.recall("innovation", means[0] ** 2) + (1 - fade) * means[0] ** 2
+        memory["dt_s"] = np.array(update.dt_s)
+    fit = support(update, population)
+    usual = float(update.recall("support", fit))
+    lost = fit < SUPPORT_FLOOR
+    age = 0.0 if lost else float(update.recall("age", 0.0)) + 1
+    memory["age"] = np.array(age)
+    memory["support"] = np.array(FADE * usual + (1 - FADE) * fit)
+    status = "lost" if lost else "tracking" if age >= ESTABLISHED_FRAMES else "acquiring"
+    best = sharpen(update, population, widest_move(update.domain))
+    return Outcome(poses, np.full(n, -np.log(n)), population.log_likelihood, rates, status, log_evidence, memory, best)

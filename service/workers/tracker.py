@@ -11,6 +11,7 @@ import platform
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any, Generic, TypeVar
 
@@ -31,7 +32,7 @@ from service.imaging.overlay import draw_overlay, encode_png
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
-from service.inference.state import Array, Measurement, Poses
+from service.inference.state import Array, Frame, Measurement, Poses
 from service.inference.step import Frame, step
 from service.models.articulations import read_joints
 from service.workers.base import (
@@ -45,7 +46,16 @@ from service.workers.base import (
 )
 
 V = TypeVar("V")
-PACKAGES = ("skypose", "numpy", "scipy", "pyopencl", "moderngl", "trimesh", "opencv-python-headless", "fastapi")
+PACKAGES = (
+    "skypose",
+    "numpy",
+    "scipy",
+    "pyopencl",
+    "moderngl",
+    "trimesh",
+    "opencv-python-headless",
+    "fastapi",
+)
 
 
 class Cache(Generic[V]):
@@ -110,9 +120,7 @@ class Tracker:
             background = learn(background, image.image, image.bits, spec, known)
         assert background is not None, "decode_frames yields at least one frame"
         height, width, channels = background.shape
-        return BackgroundReport(
-            background.to_bytes(), background.n_frames, height, width, channels, background.bits
-        )
+        return BackgroundReport(background.to_bytes(), background.n_frames, height, width, channels, background.bits)
 
     def track(self, job: FrameJob) -> FrameReport:
         """Decode a frame, measure it, and run one step of the filter."""
@@ -161,7 +169,10 @@ class Tracker:
         image = decode_frame(job.body, job.media_type, max_pixels=self._max_pixels)
         mesh = self._mesh(job.model, job.file_type, job.blobs)
         pose = Poses(
-            job.quaternion[None], job.position[None], np.array([np.log(job.scale)]), np.asarray(job.joints)[None]
+            job.quaternion[None],
+            job.position[None],
+            np.array([np.log(job.scale)]),
+            np.asarray(job.joints)[None],
         )
         height, width = image.image.shape[:2]
         mask = silhouette_mask(mesh, part_transforms(job.articulation, pose)[0], (height, width))
@@ -171,7 +182,7 @@ class Tracker:
         """Devices, scorer backend and versions."""
         return {
             "backend": self._backend,
-            "devices": [report.describe() for report in find_devices()],
+            "devices": [asdict(report) for report in find_devices()],
             "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         }
 
@@ -208,7 +219,7 @@ def content_key(data: bytes) -> str:
 
 def _blob(blobs: Mapping[str, bytes], key: str) -> bytes:
     if key not in blobs:
-        raise MissingBlobError([key])
+        raise MissingBlobError.of([key])
     return blobs[key]
 
 
