@@ -1,0 +1,69 @@
+"""``skypose simulate``: a pass with known truth, as a folder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from service.cli.model_file import ModelFile
+    from service.simulate.scenario import Scenario
+
+_MODELS_IN_STEP = 7919
+
+
+def simulate(
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    mesh: Annotated[list[str] | None, typer.Option(help="Mesh file, or 'demo'. --random takes several.")] = None,
+    preset: Annotated[str, typer.Option(help="night, day, seeing, phase90, panel, small, outage or demo.")] = "demo",
+    frames: Annotated[int | None, typer.Option(min=1, max=100_000, help="Number of frames.")] = None,
+    size: Annotated[str | None, typer.Option(help="Width x height in pixels, such as 320x240.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same images.")] = 0,
+    joints: Annotated[str | None, typer.Option(help="Joints that move: all, none, or A,B.")] = None,
+    random: Annotated[int, typer.Option(min=0, help="So many passes drawn at random, each in a folder.")] = 0,
+) -> None:
+    """Make a simulated pass: background and frames as PNG, truth.csv, case.json and the mesh."""
+    from service.cli.model_file import read_model_file
+    from service.cli.options import parse_size
+    from service.simulate.scenario import PRESETS, randomised
+
+    models = [read_model_file(name) for name in mesh or ["demo"]]
+    wanted = None if size is None else parse_size(size)
+    if random:
+        for k in range(random):
+            scenario = randomised(seed * _MODELS_IN_STEP + k, size=wanted or (256, 256), frames=frames or 40)
+            _write(models[k % len(models)], scenario, out / f"pass_{k:03d}", joints)
+        return
+    if preset not in PRESETS:
+        raise typer.BadParameter(f"{preset!r} is none of {', '.join(PRESETS)}", param_hint="--preset")
+    if len(models) != 1:
+        raise typer.BadParameter("several meshes need --random", param_hint="--mesh")
+    scenario = replace(PRESETS[preset](), seed=seed)
+    scenario = replace(scenario, size=wanted or scenario.size)
+    if frames is not None:
+        scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
+    _write(models[0], scenario, out, joints)
+
+
+def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | None) -> None:
+    from rich.progress import Progress
+
+    from service.cli.options import choose_joints
+    from service.simulate.folder import write_sequence
+    from service.simulate.sequence import SimulatedPass
+
+    moving = choose_joints(joints, tuple(joint.name for joint in model.articulation.joints))
+    scenario = replace(scenario, motion=replace(scenario.motion, joints=moving))
+    simulated = SimulatedPass(model.mesh, model.articulation, scenario)
+    with Progress() as progress:
+        task = progress.add_task(str(folder), total=None)
+        write_sequence(
+            simulated,
+            folder,
+            model.name,
+            model.data,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
