@@ -112,7 +112,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     The mean is the per-pixel median over frames whose own level has been taken out, lightly smoothed while there
     are few frames; the noise is the median absolute deviation about it, so stars do not count.
     """
-    h, w, channels = background.shape
+    channels = background.shape[2]
     spec = feature_spec(feature, channels, background.bits, gradient_sigma_px)
     counts = background.counts
     density = (1 - FLOOR) * counts / max(1.0, counts.sum()) + FLOOR / spec.n_bins

@@ -79,9 +79,7 @@ def _decode(body: bytes, header: ImageHeader) -> Frame:
 def _frame(image: NDArray[np.generic], header: ImageHeader) -> Frame:
     expected: Sequence[int] = (header.height, header.width)
     if image.shape[:2] != tuple(expected) or image.dtype not in (np.uint8, np.uint16):
-        raise broken(
-            f"decoded to {image.shape} {image.dtype}, the header says {tuple(expected)}, {header.bits} bits"
-        )
+        raise broken(f"decoded to {image.shape} {image.dtype}, the header says {tuple(expected)}, {header.bits} bits")
     if image.ndim == 3:
         # OpenCV's order is blue, green, red, alpha; grey with alpha comes back as four equal planes.
         image = image[:, :, 0] if header.channels == 1 or image.shape[2] == 1 else image[:, :, 2::-1]

@@ -51,8 +51,9 @@ def feature_bins(image: NDArray[np.generic], spec: FeatureSpec) -> NDArray[np.in
         magnitude = gradient_magnitude(grey(image), spec.sigma_px)
         # An ideal step over the sensor's whole range has slope range / (sqrt(2 pi) sigma) after smoothing.
         steepest = (2**spec.bits - 1) / (np.sqrt(2 * np.pi) * spec.sigma_px)
-        return np.minimum(magnitude * (GRADIENT_LEVELS / steepest), GRADIENT_LEVELS - 1).astype(np.intp)
-    return np.minimum(grey(image).astype(np.intp), spec.n_bins - 1)
+        level = magnitude * (GRADIENT_LEVELS / steepest)
+        return np.asarray(np.minimum(level, GRADIENT_LEVELS - 1), dtype=np.intp)
+    return np.asarray(np.minimum(grey(image), spec.n_bins - 1), dtype=np.intp)
 
 
 def gradient_magnitude(image: NDArray[np.generic], sigma_px: float) -> NDArray[np.float32]:

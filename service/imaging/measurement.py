@@ -46,17 +46,23 @@ def measure(
     *,
     kind: str,
     psf_sigma_px: float | None,
+    usual_psf_sigma_px: float | None = None,
     covered_empty_nats: float,
     uncovered_bright_nats: float,
 ) -> FrameMaps:
-    """Measure a frame (H, W) or (H, W, C) against the sky."""
-    bins = feature_bins(image, sky.spec)
-    log_background = float(np.sum(sky.log_density[bins] - log_total(bins, sky.spec.n_bins)))
-    if kind == "histogram" or not sky.per_pixel:
-        return FrameMaps(histogram_log_ratio(bins, sky), log_background, None)
+    """Measure a frame (H, W) or (H, W, C) against the sky.
+
+    ``psf_sigma_px`` is the point-spread width where it is known; otherwise the frame's own estimate is averaged
+    with ``usual_psf_sigma_px``, the one of the frames before.
+    """
+    log_background = log_constant(image, sky)
+    if kind == "histogram":
+        return FrameMaps(histogram_log_ratio(feature_bins(image, sky.spec), sky), log_background, None)
     residual = sky_residual(image, sky)
     if psf_sigma_px is None:
-        psf_sigma_px = estimate_psf_sigma(contrast(residual, sky, 0.0)) or _DEFAULT_PSF_SIGMA_PX
+        seen = estimate_psf_sigma(contrast(residual, sky, 0.0))
+        known = [width for width in (seen, usual_psf_sigma_px, usual_psf_sigma_px) if width is not None]
+        psf_sigma_px = float(np.mean(known)) if known else _DEFAULT_PSF_SIGMA_PX
     log_ratio = contrast_log_ratio(
         residual,
         sky,
@@ -65,6 +71,12 @@ def measure(
         uncovered_bright_nats=uncovered_bright_nats,
     )
     return FrameMaps(log_ratio, log_background, psf_sigma_px)
+
+
+def log_constant(image: NDArray[np.generic], sky: Sky) -> float:
+    """Log of Eq. 2's constant: the sum over the image of log p(D|b) - log p(D)."""
+    bins = feature_bins(image, sky.spec)
+    return float(np.sum(sky.log_density[bins] - log_total(bins, sky.spec.n_bins)))
 
 
 def log_total(bins: NDArray[np.intp], n_bins: int) -> NDArray[np.float64]:
@@ -88,7 +100,7 @@ def sky_residual(image: NDArray[np.generic], sky: Sky) -> NDArray[np.float32]:
 def contrast(residual: NDArray[np.float32], sky: Sky, smooth_px: float) -> NDArray[np.float32]:
     """(H, W) distance from the sky in units of one pixel's noise, over all channels, after a Gaussian."""
     if smooth_px > 0:
-        residual = cv2.GaussianBlur(residual, (0, 0), smooth_px).reshape(residual.shape)
+        residual = np.asarray(cv2.GaussianBlur(residual, (0, 0), smooth_px), np.float32).reshape(residual.shape)
     z = residual / sky.sigma
     return np.asarray(np.sqrt(np.sum(z * z, axis=2)), dtype=np.float32)
 
@@ -114,7 +126,7 @@ def contrast_log_ratio(
     near_light = cv2.dilate((sharp > 0).astype(np.uint8), disc) > 0
     faint = np.minimum(faint_light(residual, sky, near_light), _FAINT_NATS)
     log_ratio = np.where(near_light, sharp, np.maximum(sharp, faint))
-    return np.clip(log_ratio, -covered_empty_nats, uncovered_bright_nats).astype(np.float32)
+    return np.asarray(np.clip(log_ratio, -covered_empty_nats, uncovered_bright_nats), dtype=np.float32)
 
 
 def faint_light(residual: NDArray[np.float32], sky: Sky, near_light: NDArray[np.bool_]) -> NDArray[np.float32]:

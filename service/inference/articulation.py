@@ -81,7 +81,10 @@ def hold(
     return Articulation(
         articulation.parts,
         tuple(j for j in articulation.joints if j.name in wanted),
-        tuple((j, float(fixed.get(j.name, j.initial))) for j in articulation.joints if j.name not in wanted),
+        (
+            *articulation.held,
+            *((j, float(fixed.get(j.name, j.initial))) for j in articulation.joints if j.name not in wanted),
+        ),
     )
 
 

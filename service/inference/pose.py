@@ -52,7 +52,7 @@ def multiply(a: Array, b: Array) -> Array:
 
 def conjugate(q: Array) -> Array:
     """Inverse of (..., 4) unit quaternions."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]), dtype=np.float64)
 
 
 def exp_so3(vector: Array) -> Array:
@@ -101,12 +101,17 @@ def local(origin: Poses, poses: Poses) -> Array:
 
 
 def yaw_pitch_roll_deg(quaternion: Array) -> Array:
-    """(..., 4) -> (..., 3) intrinsic Z-Y'-X'' angles: R = Rz(yaw) Ry(pitch) Rx(roll). For people only."""
+    """(..., 4) -> (..., 3) intrinsic Z-Y'-X'' angles: R = Rz(yaw) Ry(pitch) Rx(roll). For people only.
+
+    At a pitch of +-90 degrees only yaw and roll together are defined: all of it is told as yaw, with no roll.
+    """
     m = rotation_matrices(quaternion)
-    yaw = np.arctan2(m[..., 1, 0], m[..., 0, 0])
-    pitch = np.arcsin(np.clip(-m[..., 2, 0], -1, 1))
-    roll = np.arctan2(m[..., 2, 1], m[..., 2, 2])
-    return np.rad2deg(np.stack([yaw, pitch, roll], axis=-1))
+    cosine = np.hypot(m[..., 0, 0], m[..., 1, 0])
+    locked = cosine < 1e-9
+    yaw = np.where(locked, np.arctan2(-m[..., 0, 1], m[..., 1, 1]), np.arctan2(m[..., 1, 0], m[..., 0, 0]))
+    pitch = np.arctan2(-m[..., 2, 0], cosine)
+    roll = np.where(locked, 0.0, np.arctan2(m[..., 2, 1], m[..., 2, 2]))
+    return np.asarray(np.rad2deg(np.stack([yaw, pitch, roll], axis=-1)), dtype=np.float64)
 
 
 def concatenate(*batches: Poses) -> Poses:

@@ -19,8 +19,12 @@ def _cumulative(log_weights: Array) -> Array:
 
 
 def _invert(log_weights: Array, r: Array) -> Ancestors:
-    """Smallest j with c_j > r for r in [0, 1); a particle of zero weight has c_j = c_(j-1) and is never drawn."""
-    return np.searchsorted(_cumulative(log_weights), r, side="right")
+    """Smallest j with c_j > r for r in [0, 1); a particle of zero weight has c_j = c_(j-1) and is never drawn.
+
+    (u + M - 1) / M rounds up to 1 for u just below 1, which would be past the last particle.
+    """
+    below_one = np.minimum(r, np.nextafter(1.0, 0.0))
+    return np.searchsorted(_cumulative(log_weights), below_one, side="right")
 
 
 def multinomial(rng: np.random.Generator, log_weights: Array, count: int) -> Ancestors:

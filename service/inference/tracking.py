@@ -131,11 +131,12 @@ def prediction_deviation(update: Update) -> Array:
     if update.recall("age", 0.0) < ESTABLISHED_FRAMES:
         return SETTLING * widest
     innovation = 2.0 * np.sqrt(update.recall("innovation", widest**2))
-    return np.clip(
+    bounded = np.clip(
         innovation * np.sqrt(update.dt_s / update.recall("dt_s", update.dt_s)),
         LEAST_DIFFUSION * widest,
         SETTLING * widest,
     )
+    return np.asarray(bounded, dtype=np.float64)
 
 
 def search(update: Update, evidence: Evidence) -> tuple[Population, float]:
@@ -235,7 +236,7 @@ def conclude(update: Update, population: Population, log_evidence: float) -> Out
     """Rates, status and memory after the frame."""
     n = len(population.log_likelihood)
     poses, rates = update.domain.wrap(population.poses), population.rates
-    memory: dict[str, NDArray[np.generic]] = {}
+    memory = {} if update.state is None else dict(update.state.memory)
     if population.centre is not None:
         innovation = local(population.centre, population.poses)
         labels = cluster(poses, population.log_likelihood, joint_radius(update.domain.articulation))

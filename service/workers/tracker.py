@@ -11,7 +11,7 @@ import platform
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from typing import Any, Generic, TypeVar
 
@@ -27,13 +27,12 @@ from service.imaging.background import Background, Sky, derive, known_pixels, le
 from service.imaging.decode import Frame as Image
 from service.imaging.decode import decode_frame, decode_frames
 from service.imaging.features import feature_spec
-from service.imaging.measurement import measure
 from service.imaging.overlay import draw_overlay, encode_png
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
-from service.inference.state import Array, Frame, Measurement, Poses
-from service.inference.step import Frame, step
+from service.inference.state import Array, Frame, Measurement, PoseEstimate, Poses
+from service.inference.step import step
 from service.models.articulations import read_joints
 from service.workers.base import (
     BackgroundJob,
@@ -44,6 +43,7 @@ from service.workers.base import (
     ModelReport,
     OverlayJob,
 )
+from service.workers.observation import observe, remember
 
 V = TypeVar("V")
 PACKAGES = (
@@ -131,14 +131,9 @@ class Tracker:
         sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
         _require_same(image, sky.mean.shape, sky.spec.bits)
         decoded = time.perf_counter()
-        maps = measure(
-            image.image,
-            sky,
-            kind=likelihood.kind,
-            psf_sigma_px=job.config.camera.psf_sigma_px,
-            covered_empty_nats=likelihood.covered_empty_nats,
-            uncovered_bright_nats=likelihood.uncovered_bright_nats,
-        )
+        memory = {} if job.state is None else job.state.memory
+        observation = observe(image, sky, job.config, memory)
+        maps = observation.maps
         maps.log_ratio.flags.writeable = False
         measured = time.perf_counter()
         articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
@@ -154,6 +149,15 @@ class Tracker:
             job.config,
             Domain(width, height, mesh.radius, articulation, job.config.prior),
         )
+        best = estimate.best
+        kept = remember(
+            observation,
+            image,
+            state.memory,
+            state.status in ("acquiring", "tracking"),
+            lambda: draw_silhouette(mesh, articulation, best, (height, width)),
+        )
+        state = replace(state, memory=kept)
         done = time.perf_counter()
         timing = {
             "decode": decoded - began,
@@ -168,14 +172,9 @@ class Tracker:
         """PNG of the frame with the silhouette in blue."""
         image = decode_frame(job.body, job.media_type, max_pixels=self._max_pixels)
         mesh = self._mesh(job.model, job.file_type, job.blobs)
-        pose = Poses(
-            job.quaternion[None],
-            job.position[None],
-            np.array([np.log(job.scale)]),
-            np.asarray(job.joints)[None],
-        )
+        pose = PoseEstimate(job.quaternion, job.position, job.scale, job.joints)
         height, width = image.image.shape[:2]
-        mask = silhouette_mask(mesh, part_transforms(job.articulation, pose)[0], (height, width))
+        mask = draw_silhouette(mesh, job.articulation, pose, (height, width))
         return encode_png(draw_overlay(image.image, mask))
 
     def describe(self) -> Mapping[str, Any]:
@@ -210,6 +209,16 @@ class TimedScorer:
         scores = self._scorer.score_many(transforms, maps)
         self.seconds += time.perf_counter() - began
         return scores
+
+
+def draw_silhouette(
+    mesh: Mesh, articulation: Articulation, pose: PoseEstimate, shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """(H, W) mask of a pose's silhouette."""
+    batch = Poses(
+        pose.quaternion[None], pose.position[None], np.array([np.log(pose.scale)]), np.asarray(pose.joints)[None]
+    )
+    return silhouette_mask(mesh, part_transforms(articulation, batch)[0], shape)
 
 
 def content_key(data: bytes) -> str:
