@@ -46,7 +46,8 @@ def feature_bins(image: NDArray[np.generic], spec: FeatureSpec) -> NDArray[np.in
     """(H, W) histogram bin of every pixel."""
     if spec.name == "colour":
         level = image.astype(np.intp) * COLOUR_LEVELS >> spec.bits
-        return level[..., 0] * COLOUR_LEVELS**2 + level[..., 1] * COLOUR_LEVELS + level[..., 2]
+        joint = level[..., 0] * COLOUR_LEVELS**2 + level[..., 1] * COLOUR_LEVELS + level[..., 2]
+        return np.asarray(joint, dtype=np.intp)
     if spec.name == "gradient":
         magnitude = gradient_magnitude(grey(image), spec.sigma_px)
         # An ideal step over the sensor's whole range has slope range / (sqrt(2 pi) sigma) after smoothing.

