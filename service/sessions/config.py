@@ -45,7 +45,8 @@ def document(config: SessionConfig) -> dict[str, Any]:
 def check_joints(config: SessionConfig, articulation: Articulation) -> tuple[str, ...]:
     """Hold the session's joints against the model's. Returns warnings; raises ``ConfigError``."""
     known = {joint.name: joint for joint in articulation.joints}
-    free = set(known) if config.joints.free == "all" else set(config.joints.free)
+    every = set(known) - set(config.joints.fixed)
+    free = every if config.joints.free == "all" else set(config.joints.free)
     for name in (*sorted(free), *config.joints.fixed):
         if name not in known:
             raise ConfigError(f"the model has no joint {name!r}", field="joints", known=list(known))

@@ -10,7 +10,7 @@ from typing import Any
 import orjson
 
 from service.errors import SkyposeError
-from service.inference.articulation import Articulation
+from service.inference.articulation import Articulation, hold
 from service.inference.params import SessionConfig
 from service.inference.pose import yaw_pitch_roll_deg
 from service.inference.state import Estimate, PoseEstimate, Spread
@@ -27,15 +27,11 @@ class JointNames:
     @classmethod
     def of(cls, articulation: Articulation, config: SessionConfig) -> JointNames:
         """Of a session of this model."""
-        wanted = config.joints.free
-        names = [joint.name for joint in articulation.joints]
-        free = tuple(name for name in names if wanted == "all" or name in wanted)
-        return cls(free, dict(config.joints.fixed))
+        estimated = hold(articulation, config.joints.free, config.joints.fixed)
+        return cls(tuple(joint.name for joint in estimated.joints), dict(config.joints.fixed))
 
 
-def estimate_document(
-    session_id: str, index: int, time: str, names: JointNames, report: PackedFrameReport
-) -> bytes:
+def estimate_document(session_id: str, index: int, time: str, names: JointNames, report: PackedFrameReport) -> bytes:
     """The answer to a frame as JSON bytes. Raises ``SkyposeError`` if a number in it is not finite."""
     estimate = report.estimate
     data = {

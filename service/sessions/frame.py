@@ -71,9 +71,7 @@ def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float) -> Fram
     """
     previous = None if record.time_given is None else datetime.fromisoformat(record.time_given)
     if frame.time is not None and previous is not None and frame.time < previous:
-        raise InputError(
-            "the frame is older than the one before", field="time", previous=format_time(previous)
-        )
+        raise InputError("the frame is older than the one before", field="time", previous=format_time(previous))
     if record.time_s is None:
         seconds = 0.0
     elif frame.time is not None and previous is not None:
@@ -107,9 +105,7 @@ def repeated(
         return under_key.index
     if at_index is not None:
         if at_index.sha256 != frame.sha256:
-            raise FrameConflictError(
-                f"frame {at_index.index} holds other bytes", field="index", sha256=at_index.sha256
-            )
+            raise FrameConflictError(f"frame {at_index.index} holds other bytes", field="index", sha256=at_index.sha256)
         return at_index.index
     if frame.index is not None and frame.index != next_index:
         raise FrameGapError(

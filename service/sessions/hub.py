@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncGenerator
-from contextlib import aclosing
+from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -54,9 +54,7 @@ class _Channel:
 class Hub:
     """The channels of all watched sessions."""
 
-    def __init__(
-        self, database: Database, *, ring: int, max_lag: int, heartbeat_s: float, max_watchers: int
-    ) -> None:
+    def __init__(self, database: Database, *, ring: int, max_lag: int, heartbeat_s: float, max_watchers: int) -> None:
         self._database = database
         self._ring = ring
         self._max_lag = max_lag
@@ -91,7 +89,8 @@ class Hub:
         for session_id in list(self._channels):
             self.end(session_id, "shutdown")
 
-    async def watch(self, session_id: str, after: int | None) -> AsyncGenerator[Message]:
+    @asynccontextmanager
+    async def watch(self, session_id: str, after: int | None) -> AsyncGenerator[AsyncGenerator[Message]]:
         """Events after number ``after`` (None: only new ones), then new ones as they come, in order.
 
         Raises ``NotFoundError`` for an unknown session, ``BusyError`` past the number of watchers.
@@ -105,12 +104,8 @@ class Hub:
             channel.newest = max(channel.newest, newest)
             channel.ended = channel.ended or self._stopping
             cursor = newest if after is None else max(after, 0)
-            if cursor > newest:
-                yield Message("resync-required", newest)
-                cursor = newest
             async with aclosing(self._follow(session_id, channel, cursor)) as messages:
-                async for message in messages:
-                    yield message
+                yield messages
         finally:
             channel.watchers -= 1
             if channel.watchers == 0 and self._channels.get(session_id) is channel:
@@ -120,7 +115,8 @@ class Hub:
         live = False
         while True:
             changed = channel.changed
-            if live and channel.newest - cursor > self._max_lag:
+            ahead = cursor > channel.newest  # a cursor of another life of this session
+            if ahead or (live and channel.newest - cursor > self._max_lag):
                 cursor = channel.newest
                 yield Message("resync-required", cursor)
             for event in await self._events(session_id, channel, cursor):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ class _Item:
     run: Callable[[], Awaitable[Any]]
     answer: asyncio.Future[Any]
     since: float
+    log_context: dict[str, Any]  # of the call: its request id
 
 
 class Inbox:
@@ -42,12 +44,19 @@ class Inbox:
         self._items: asyncio.Queue[_Item | None] = asyncio.Queue()
         self._in_hand = False
         self._closing = False
-        self._task = asyncio.create_task(self._run(), name=f"session {name}")
+        self._task = asyncio.create_task(
+            self._run(), name=f"session {name}", context=contextvars.Context()
+        )
 
     @property
     def idle(self) -> bool:
         """Whether nothing waits and nothing is under way."""
         return not self._in_hand and self._items.empty()
+
+    @property
+    def size(self) -> int:
+        """Calls that wait or are under way."""
+        return self._items.qsize() + self._in_hand
 
     def require_room(self) -> None:
         """Raise ``InboxFullError`` where one more call would be refused."""
@@ -65,7 +74,8 @@ class Inbox:
         self.require_room()
         self.used_at = time.monotonic()
         answer: asyncio.Future[R] = asyncio.get_running_loop().create_future()
-        self._items.put_nowait(_Item(run, answer, time.monotonic()))
+        context = structlog.contextvars.get_contextvars()
+        self._items.put_nowait(_Item(run, answer, time.monotonic(), context))
         return answer
 
     async def close(self) -> None:
@@ -76,13 +86,13 @@ class Inbox:
         await self._task
 
     async def _run(self) -> None:
-        with structlog.contextvars.bound_contextvars(session_id=self._name):
-            while (item := await self._items.get()) is not None:
-                self._waited(time.monotonic() - item.since)
-                self._in_hand = True
+        while (item := await self._items.get()) is not None:
+            self._waited(time.monotonic() - item.since)
+            self._in_hand = True
+            with structlog.contextvars.bound_contextvars(**item.log_context, session_id=self._name):
                 await self._answer(item)
-                self._in_hand = False
-                self.used_at = time.monotonic()
+            self._in_hand = False
+            self.used_at = time.monotonic()
 
     async def _answer(self, item: _Item) -> None:
         try:

@@ -11,22 +11,16 @@ from typing import Any
 
 import orjson
 import structlog
-from pydantic import TypeAdapter
 
-from service.inference.articulation import Articulation
 from service.sessions import config as session_config
+from service.sessions.archive import session_document
 from service.sessions.frame import format_time
+from service.sessions.library import articulation_of
 from service.sessions.session import Rooms, Session
 from service.store import models, sessions
-from service.store.base import ModelRecord, SessionRecord
+from service.store.base import SessionRecord
 
 log = structlog.get_logger(__name__)
-ARTICULATION: TypeAdapter[Articulation] = TypeAdapter(Articulation)
-
-
-def articulation_of(model: ModelRecord) -> Articulation:
-    """Parts and joints of a stored model."""
-    return ARTICULATION.validate_python(model.report["articulation"])
 
 
 class Registry:
@@ -45,7 +39,7 @@ class Registry:
         """Sessions in memory."""
         return self._resident
 
-    async def create(self, model_id: str, name: str | None, sections: Mapping[str, Any]) -> SessionRecord:
+    async def create(self, model_id: str, name: str | None, sections: Mapping[str, Any]) -> dict[str, Any]:
         """A new session. Raises ``NotFoundError`` for the model, ``ConfigError`` for the rest."""
         model = await self._rooms.database.read(models.get, model_id)
         config = session_config.effective(sections)
@@ -61,7 +55,7 @@ class Registry:
             updated_at=now,
         )
         await self._rooms.database.write(sessions.add, record)
-        return record
+        return session_document(record)
 
     async def get(self, session_id: str) -> Session:
         """The session's owner, restored from the store if not in memory. Raises ``NotFoundError``."""
@@ -73,6 +67,14 @@ class Registry:
                     owner = await self._restore(session_id)
         owner.inbox.used_at = time.monotonic()
         return owner
+
+    async def require_room(self, session_id: str) -> None:
+        """Refuse early, before a body is read: an unknown session, a full inbox."""
+        owner = self._resident.get(session_id)
+        if owner is None:
+            await self._rooms.database.read(sessions.get, session_id)
+        else:
+            owner.inbox.require_room()
 
     async def remove(self, session_id: str) -> None:
         """Delete a session with its history, and send its watchers home."""

@@ -111,9 +111,7 @@ class Session:
 
     async def _commit(self, frame: FrameIn, moment: FrameTime, report: PackedFrameReport) -> Answer:
         index, text = self.record.next_index, format_time(moment.utc)
-        document = await asyncio.to_thread(
-            estimate_document, self.record.id, index, text, self._names, report
-        )
+        document = await asyncio.to_thread(estimate_document, self.record.id, index, text, self._names, report)
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(
             session_id=self.record.id,
@@ -187,9 +185,7 @@ class Session:
             created_at=format_time(datetime.now(UTC)),
         )
         await database.write(sessions.set_background, background)
-        self.record = replace(
-            record, background_key=key, background_frames=report.frames, background_info=info
-        )
+        self.record = replace(record, background_key=key, background_frames=report.frames, background_info=info)
         return BackgroundAnswer(report.frames)
 
     async def _blob(self, key: str) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
@@ -35,6 +35,9 @@ class Transport(Protocol):
     def restarts(self) -> int:
         """Workers lost so far."""
 
+    def processes(self) -> Sequence[Mapping[str, Any]]:
+        """The worker processes, for operators."""
+
     async def start(self) -> None:
         """Bring the workers up."""
 
@@ -61,9 +64,7 @@ class Engine:
         report: BackgroundReport = await self.transport.call(session_id, "learn_background", job)
         return report
 
-    async def track(
-        self, session_id: str, job: FrameJob, state: bytes | None, blobs: BlobSource
-    ) -> PackedFrameReport:
+    async def track(self, session_id: str, job: FrameJob, state: bytes | None, blobs: BlobSource) -> PackedFrameReport:
         """One frame: packed state in, packed state out."""
 
         async def run(brought: Mapping[str, bytes]) -> PackedFrameReport:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -25,6 +25,10 @@ class InlineTransport:
     def ready(self) -> bool:
         """Whether jobs can run at once."""
         return self._worker is not None
+
+    def processes(self) -> Sequence[Mapping[str, Any]]:
+        """None: jobs run in this process."""
+        return ()
 
     async def start(self) -> None:
         """Build the worker."""

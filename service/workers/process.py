@@ -99,9 +99,7 @@ class WorkerProcess:
         if self._child is not None:
             return self._child
         here, there = _CONTEXT.Pipe()
-        process = _CONTEXT.Process(
-            target=serve, args=(there, self._factory), name=f"skypose-{self.name}", daemon=True
-        )
+        process = _CONTEXT.Process(target=serve, args=(there, self._factory), name=f"skypose-{self.name}", daemon=True)
         process.start()
         there.close()  # so that the end of the process is the end of the pipe
         child = _Child(process, here, Finalize(None, process.kill, exitpriority=10))
@@ -169,9 +167,7 @@ class ProcessTransport:
     """
 
     def __init__(self, factory: str, workers: int, timeout_s: float, start_timeout_s: float) -> None:
-        self.workers = [
-            WorkerProcess(f"track-{n}", factory, timeout_s, start_timeout_s) for n in range(workers)
-        ]
+        self.workers = [WorkerProcess(f"track-{n}", factory, timeout_s, start_timeout_s) for n in range(workers)]
         self.side = WorkerProcess("side", factory, timeout_s, start_timeout_s)
         self._side_start: asyncio.Task[None] | None = None
 
@@ -184,6 +180,13 @@ class ProcessTransport:
     def restarts(self) -> int:
         """Losses so far, over all processes."""
         return sum(worker.restarts for worker in (*self.workers, self.side))
+
+    def processes(self) -> list[dict[str, Any]]:
+        """The worker processes, for operators."""
+        return [
+            {"name": worker.name, "pid": worker.pid, "ready": worker.ready, "restarts": worker.restarts}
+            for worker in (*self.workers, self.side)
+        ]
 
     async def start(self) -> None:
         """Bring the tracking processes up; the one beside them follows on its own."""

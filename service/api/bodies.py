@@ -1,0 +1,140 @@
+"""Reading requests: limits of size, JSON without surprises, headers."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from typing import Any, TypeVar
+
+import orjson
+from pydantic import BaseModel, ValidationError
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.problems import problem_response
+from service.api.services import services_of
+from service.errors import ConfigError, InputError, SkyposeError, TooLargeError, UnsupportedMediaTypeError
+from service.settings import MEBIBYTE, Settings
+
+M = TypeVar("M", bound=BaseModel)
+HASH_IN_LOOP_BYTES = 1 << 16
+DRAIN_FACTOR = 4
+
+
+class BodyLimits:
+    """ASGI middleware: counts the bytes of every request's body against its limit and the total."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app = app
+        self._settings = settings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on, with ``receive`` counted. A body declared too large is drained, then refused."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        error = self._refusal(scope)
+        if error is not None:
+            await _drain(receive, error.facts["limit"] * DRAIN_FACTOR)
+            await problem_response(error)(scope, receive, send)
+            return
+        name, limit = self._limit(scope["path"])
+        with services_of(Request(scope)).admission.hold() as hold:
+
+            async def counted() -> Message:
+                message = await receive()
+                size = len(message.get("body", b""))
+                try:
+                    if hold.size + size > limit:
+                        raise _too_large(name, limit)
+                    hold.grow(size)
+                except SkyposeError:
+                    if message.get("more_body"):
+                        await _drain(receive, limit * DRAIN_FACTOR)
+                    raise
+                return message
+
+            await self._app(scope, counted, send)
+
+    def _refusal(self, scope: Scope) -> TooLargeError | None:
+        declared = dict(scope["headers"]).get(b"content-length", b"0")
+        name, limit = self._limit(scope["path"])
+        if declared.isdigit() and int(declared) > limit:
+            return _too_large(name, limit)
+        return None
+
+    def _limit(self, path: str) -> tuple[str, int]:
+        settings = self._settings
+        last = path.rstrip("/").rsplit("/", 1)[-1]
+        if last == "checkpoint":
+            return "SKYPOSE_MAX_CHECKPOINT_MB", settings.max_checkpoint_mb * MEBIBYTE
+        if last == "models":
+            return "SKYPOSE_MAX_MODEL_MB", settings.max_model_mb * MEBIBYTE
+        if last == "background" or "/frames" in path:
+            return "SKYPOSE_MAX_FRAME_MB", settings.max_frame_mb * MEBIBYTE
+        return "SKYPOSE_MAX_JSON_KB", settings.max_json_kb * 1024
+
+
+def _too_large(setting: str, limit: int) -> TooLargeError:
+    return TooLargeError(f"the body is larger than {limit} bytes", field="body", limit=limit, setting=setting)
+
+
+async def _drain(receive: Receive, most: int) -> None:
+    """Read and forget the rest of a body, so that a client that is still sending hears the refusal."""
+    while most > 0:
+        message = await receive()
+        most -= len(message.get("body", b""))
+        if message["type"] != "http.request" or not message.get("more_body"):
+            return
+
+
+async def read_body(request: Request) -> tuple[bytes, str]:
+    """The raw body and its SHA-256. Raises ``InputError`` for an empty one."""
+    body = await request.body()
+    if not body:
+        raise InputError("the body is empty", field="body")
+    if len(body) <= HASH_IN_LOOP_BYTES:
+        return body, hashlib.sha256(body).hexdigest()
+    return body, (await asyncio.to_thread(hashlib.sha256, body)).hexdigest()
+
+
+def media_type(request: Request) -> str:
+    """The body's media type without parameters, in lower case; empty where none was given."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
+async def read_json(request: Request, kind: type[M]) -> M:
+    """A JSON body, strictly: no unknown fields, no NaN. Raises ``InputError`` that names the field."""
+    if media_type(request) not in ("application/json", ""):
+        raise UnsupportedMediaTypeError(
+            "the body must be application/json", field="header:Content-Type", supported=["application/json"]
+        )
+    try:
+        data: Any = orjson.loads(await request.body())
+    except orjson.JSONDecodeError as error:
+        raise InputError(f"the body is not JSON: {error}", field="body") from error
+    try:
+        return kind.model_validate(data, strict=True)
+    except ValidationError as error:
+        found = [
+            {"field": ".".join(map(str, item["loc"])) or "body", "message": item["msg"]}
+            for item in error.errors(include_url=False, include_context=False, include_input=False)
+        ]
+        detail = f"{found[0]['field']}: {found[0]['message']}"
+        raise ConfigError(detail, field=found[0]["field"], errors=found) from error
+
+
+def idempotency_key(request: Request) -> str | None:
+    """The Idempotency-Key header. Raises ``InputError`` for one that cannot be kept."""
+    key = request.headers.get("idempotency-key")
+    if key is None:
+        return None
+    if not 1 <= len(key) <= 255 or not key.isascii() or not key.isprintable():
+        raise InputError("must be 1 to 255 printable ASCII characters", field="header:Idempotency-Key", limit=255)
+    return key
+
+
+def wants_async(request: Request) -> bool:
+    """Whether the client sent ``Prefer: respond-async``."""
+    wishes = ",".join(request.headers.getlist("prefer")).split(",")
+    return any(wish.partition(";")[0].strip().lower() == "respond-async" for wish in wishes)

@@ -1,0 +1,75 @@
+"""Routes for operators and probes: health, readiness, metrics, system, API documentation."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from fastapi import APIRouter, Response
+from fastapi.openapi.docs import get_swagger_ui_html
+from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+
+from service.api import schemas
+from service.api.paging import problems
+from service.api.services import ServicesDep
+from service.sessions.frame import format_time
+
+router = APIRouter(tags=["operations"])
+
+
+def release() -> str:
+    """Version of this program."""
+    try:
+        return version("skypose")
+    except PackageNotFoundError:
+        return "0.1.0+unpackaged"
+
+
+@router.get("/healthz", response_model=schemas.Health)
+async def healthz() -> dict[str, Any]:
+    """The event loop turns."""
+    return {"status": "ok", "checks": {}}
+
+
+@router.get("/readyz", response_model=schemas.Health, responses={503: {"model": schemas.Health}})
+async def readyz(response: Response, services: ServicesDep) -> dict[str, Any]:
+    """Frames can be taken: the worker is up and the database answers."""
+    checks = await services.status.checks()
+    ready = all(checks.values())
+    response.status_code = 200 if ready else 503
+    return {"status": "ok" if ready else "starting", "checks": checks}
+
+
+@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+async def metrics(services: ServicesDep) -> Response:
+    """Prometheus metrics."""
+    return Response(generate_latest(services.metrics.registry), media_type=CONTENT_TYPE_LATEST)
+
+
+@router.get("/v1/system", response_model=schemas.System, responses=problems(503))
+async def system(services: ServicesDep) -> dict[str, Any]:
+    """Devices, scorer, versions, settings."""
+    uptime = datetime.now(UTC) - services.started
+    return {
+        "name": "skypose",
+        "version": release(),
+        "started_at": format_time(services.started),
+        "uptime_s": round(uptime.total_seconds(), 3),
+        "worker": await services.status.worker(),
+        "workers": services.status.processes(),
+        "sessions": len(services.registry.resident),
+        "settings": services.settings.model_dump(mode="json", exclude={"data_dir"}),
+    }
+
+
+@router.get("/docs", include_in_schema=False)
+async def docs() -> Response:
+    """The API, to read and to try; served from here, without any other host."""
+    return get_swagger_ui_html(
+        openapi_url="/openapi.json",
+        title="skypose API",
+        swagger_js_url="/static/vendor/swagger-ui/swagger-ui-bundle.js",
+        swagger_css_url="/static/vendor/swagger-ui/swagger-ui.css",
+        swagger_favicon_url="/static/favicon.svg",
+    )

@@ -1,0 +1,131 @@
+"""Routes of models: upload, list, read, delete."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+from typing import Annotated, Any
+
+import orjson
+from fastapi import APIRouter, Query, Request, Response
+from starlette.datastructures import UploadFile
+
+from service.api import schemas
+from service.api.paging import next_page, page_limit, problems
+from service.api.services import ServicesDep
+from service.errors import InputError, JointError, UnsupportedMediaTypeError
+from service.sessions.library import Upload
+
+router = APIRouter(prefix="/v1/models", tags=["models"])
+FILE_TYPES = ("glb", "obj", "stl", "ply")
+_MEDIA_TYPES = {
+    "model/gltf-binary": "glb",
+    "model/obj": "obj",
+    "model/stl": "stl",
+    "application/sla": "stl",
+    "model/ply": "ply",
+}
+_UPLOAD = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": ["file"],
+                    "additionalProperties": False,
+                    "properties": {
+                        "file": {"type": "string", "format": "binary", "description": "GLB, OBJ, STL or PLY"},
+                        "joints": {"type": "string", "description": "JSON array; replaces the file's own"},
+                        "name": {"type": "string", "maxLength": 200},
+                    },
+                }
+            }
+        },
+    }
+}
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_model=schemas.Model,
+    responses={
+        200: {"model": schemas.Model, "description": "The same content was there"},
+        **problems(413, 415, 422, 503),
+    },
+    openapi_extra=_UPLOAD,
+)
+async def upload_model(request: Request, response: Response, services: ServicesDep) -> dict[str, Any]:
+    """Upload a spacecraft model; it is checked, repaired where that is safe, and described."""
+    upload = await _read_upload(request)
+    model, new = await services.library.add(upload)
+    if not new:
+        response.status_code = 200
+    response.headers["Location"] = f"/v1/models/{model['model_id']}"
+    return model
+
+
+@router.get("", response_model=schemas.ModelList, responses=problems(422))
+async def list_models(
+    services: ServicesDep,
+    after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
+    limit: Annotated[int, Query(ge=1)] = 100,
+) -> dict[str, Any]:
+    """All models in order of upload."""
+    limit = page_limit(limit, services.settings)
+    found, cursor = await services.library.page(after, limit)
+    return {"models": found, "next": next_page("/v1/models", cursor, limit)}
+
+
+@router.get("/{model_id}", response_model=schemas.Model, responses=problems(404))
+async def read_model(model_id: str, services: ServicesDep) -> dict[str, Any]:
+    """One model."""
+    return await services.library.get(model_id)
+
+
+@router.delete("/{model_id}", status_code=204, responses=problems(404, 409))
+async def delete_model(model_id: str, services: ServicesDep) -> None:
+    """Delete a model that no session needs."""
+    await services.library.remove(model_id)
+
+
+async def _read_upload(request: Request) -> Upload:
+    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
+        raise UnsupportedMediaTypeError(
+            "the body must be multipart/form-data", field="header:Content-Type", supported=["multipart/form-data"]
+        )
+    async with request.form(max_files=1, max_fields=4) as form:
+        unknown = set(form) - {"file", "joints", "name"}
+        if unknown:
+            raise InputError(f"unknown field {sorted(unknown)[0]!r}", field=sorted(unknown)[0])
+        file, joints, name = form.get("file"), form.get("joints"), form.get("name")
+        if not isinstance(file, UploadFile):
+            raise InputError("a file is required", field="file")
+        if isinstance(joints, UploadFile) or isinstance(name, UploadFile):
+            raise InputError("joints and name are text", field="joints")
+        data = await file.read()
+        file_type = _file_type(file)
+        title = name or PurePath(file.filename or "model").stem
+        if not data:
+            raise InputError("the file is empty", field="file")
+        return Upload(data, file_type, title[:200], None if joints is None else _joints(joints))
+
+
+def _file_type(file: UploadFile) -> str:
+    suffix = PurePath(file.filename or "").suffix.lower().lstrip(".")
+    file_type = suffix if suffix in FILE_TYPES else _MEDIA_TYPES.get(file.content_type or "", "")
+    if not file_type:
+        raise UnsupportedMediaTypeError(
+            f"{file.filename!r} is none of {', '.join(FILE_TYPES)}", field="file", supported=list(FILE_TYPES)
+        )
+    return file_type
+
+
+def _joints(text: str) -> tuple[dict[str, Any], ...]:
+    try:
+        data = orjson.loads(text)
+    except orjson.JSONDecodeError as error:
+        raise JointError(f"joints is not JSON: {error}", field="joints") from error
+    if not isinstance(data, list) or not all(isinstance(item, dict) for item in data):
+        raise JointError("joints must be a JSON array of objects", field="joints")
+    return tuple(data)

@@ -1,0 +1,57 @@
+"""One log line, one measurement and one request id per HTTP call."""
+
+from __future__ import annotations
+
+import time
+import uuid
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.services import services_of
+
+log = structlog.get_logger(__name__)
+_QUIET = ("/healthz", "/readyz", "/metrics", "/static")
+
+
+class Observe:
+    """ASGI middleware. The request id is the client's X-Request-ID where it sent a sane one."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on; log and measure when the answer has gone out."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request_id = _request_id(Headers(scope=scope).get("x-request-id", ""))
+        started, status = time.perf_counter(), 500
+
+        async def marked(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                MutableHeaders(scope=message)["X-Request-ID"] = request_id
+            await send(message)
+
+        with structlog.contextvars.bound_contextvars(request_id=request_id):
+            try:
+                await self._app(scope, receive, marked)
+            finally:
+                self._note(scope, status, time.perf_counter() - started)
+
+    def _note(self, scope: Scope, status: int, seconds: float) -> None:
+        path = getattr(scope.get("route"), "path", "(none)")
+        metrics = services_of(Request(scope)).metrics
+        metrics.request_seconds.labels(scope["method"], path, str(status)).observe(seconds)
+        if not scope["path"].startswith(_QUIET):
+            log.info("call", method=scope["method"], path=scope["path"], status=status, ms=round(seconds * 1e3, 1))
+
+
+def _request_id(given: str) -> str:
+    if 1 <= len(given) <= 100 and given.isascii() and given.isprintable():
+        return given
+    return uuid.uuid4().hex

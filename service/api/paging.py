@@ -1,0 +1,33 @@
+"""What all routes share: pages, and the problems they document."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from service.api.problems import MEDIA_TYPE
+from service.api.schemas import Problem
+from service.errors import InputError
+from service.settings import Settings
+
+
+def page_limit(limit: int, settings: Settings) -> int:
+    """The size of a page. Raises ``InputError`` past the service's limit."""
+    if limit > settings.max_page:
+        raise InputError(
+            f"a page holds at most {settings.max_page}",
+            field="query:limit",
+            limit=settings.max_page,
+            setting="SKYPOSE_MAX_PAGE",
+        )
+    return limit
+
+
+def next_page(path: str, cursor: int | None, limit: int) -> str | None:
+    """Where the next page is, or None after the last."""
+    return None if cursor is None else f"{path}?after={cursor}&limit={limit}"
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The OpenAPI entry of the refusals a route can give."""
+    content = {MEDIA_TYPE: {"schema": Problem.model_json_schema()}}
+    return {status: {"description": "Refused, nothing changed", "content": content} for status in statuses}

@@ -1,0 +1,88 @@
+"""Errors as RFC 9457 problem documents: the one place where they become HTTP."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import orjson
+import structlog
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+from service.errors import BusyError, InputError, SkyposeError
+
+log = structlog.get_logger(__name__)
+MEDIA_TYPE = "application/problem+json"
+_PREFIX = "urn:skypose:problem:"
+
+
+def problem_type(kind: type[SkyposeError]) -> str:
+    """The stable ``type`` of an error."""
+    return _PREFIX + kind.slug
+
+
+def problem_response(error: SkyposeError) -> Response:
+    """The answer to a call that raised ``error``."""
+    body: dict[str, Any] = {
+        **error.facts,
+        "type": problem_type(type(error)),
+        "title": error.title,
+        "status": error.status,
+        "detail": error.detail,
+    }
+    if error.field is not None:
+        body["field"] = error.field
+    headers = {"Retry-After": str(error.retry_after_s)} if isinstance(error, BusyError) else {}
+    return _response(error.status, body, headers)
+
+
+def install(app: FastAPI) -> None:
+    """Answer every error of this application as a problem document."""
+    app.add_exception_handler(SkyposeError, _on_skypose_error)
+    app.add_exception_handler(RequestValidationError, _on_invalid_request)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(Exception, _on_unexpected)
+
+
+async def _on_skypose_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, SkyposeError)
+    request.app.state.services.metrics.refusals.labels(error.slug).inc()
+    if error.status >= 500 and not isinstance(error, BusyError):
+        log.error("internal error", detail=error.detail)
+    return problem_response(error)
+
+
+async def _on_invalid_request(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    found = [{"field": _field(item["loc"]), "message": str(item["msg"])} for item in error.errors()]
+    first = found[0]
+    detail = f"{first['field']}: {first['message']}"
+    return await _on_skypose_error(request, InputError(detail, field=first["field"], errors=found))
+
+
+async def _on_http_exception(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    slug = {404: "not-found", 405: "method-not-allowed"}.get(error.status_code, "invalid-request")
+    body = {
+        "type": _PREFIX + slug,
+        "title": str(error.detail),
+        "status": error.status_code,
+        "detail": f"{request.method} {request.url.path}: {error.detail}",
+    }
+    return _response(error.status_code, body, dict(error.headers or {}))
+
+
+async def _on_unexpected(request: Request, error: Exception) -> Response:
+    log.error("unexpected error", exc_info=error, path=request.url.path)
+    return problem_response(SkyposeError("an unexpected error; the log has its trace"))
+
+
+def _response(status: int, body: dict[str, Any], headers: dict[str, str]) -> Response:
+    return Response(orjson.dumps(body), status_code=status, media_type=MEDIA_TYPE, headers=headers)
+
+
+def _field(location: tuple[int | str, ...]) -> str:
+    where, *rest = (str(part) for part in location)
+    return ":".join((where, ".".join(rest))) if rest else where

@@ -1,0 +1,270 @@
+"""The wire: every JSON document of the API. Conventions of axes, units and angles: docs/conventions.md."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
+from pydantic.json_schema import WithJsonSchema
+
+from service.inference.params import SessionConfig
+
+
+class Wire(BaseModel):
+    """Base of the documents: unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+
+
+class Problem(BaseModel):
+    """RFC 9457 problem document. Further members say which limit, which setting, what was expected."""
+
+    model_config = ConfigDict(extra="allow", use_attribute_docstrings=True)
+
+    type: str
+    """Stable name of the kind of problem."""
+    title: str
+    """The same for people."""
+    status: int
+    """HTTP status."""
+    detail: str
+    """What is wrong in this call."""
+    field: str | None = None
+    """Which part of the request."""
+
+
+class Orientation(Wire):
+    """Unit quaternion, rotation body -> camera, w >= 0."""
+
+    w: float
+    x: float
+    y: float
+    z: float
+
+
+class Pose(Wire):
+    """Body point X lands at scale_px * (R X)_xy + (x_px, y_px)."""
+
+    orientation: Orientation
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+    x_px: float
+    y_px: float
+    scale_px: float
+    """Pixels per model unit."""
+    joints: dict[str, float]
+    """Degrees (revolute) or model units (prismatic), of the estimated and the fixed joints."""
+    attitude: dict[str, Any] | None = None
+    """Absolute attitude, where the camera's is known."""
+
+
+class BestPose(Pose):
+    """The particle of highest likelihood in this frame."""
+
+    log_likelihood: float
+
+
+class Spread(Wire):
+    """Weighted standard deviations about the mean."""
+
+    orientation_deg: float
+    """Weighted RMS geodesic angle."""
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+    x_px: float
+    y_px: float
+    scale_px: float
+    joints: dict[str, float]
+
+
+class FullSpread(Spread):
+    """With the covariance about the mean."""
+
+    covariance: list[list[float]]
+    covariance_order: list[str]
+
+
+class Mode(Wire):
+    """A cluster of the posterior."""
+
+    weight: float
+    pose: Pose
+    spread: Spread
+
+
+class Estimate(Wire):
+    """The answer to a frame."""
+
+    session_id: str
+    index: int
+    time: str
+    status: Literal["acquiring", "tracking", "lost", "no_target"]
+    duplicate: bool
+    """True where the frame had been answered before."""
+    mean: Pose
+    """Eq. 5 over all particles, the rotation averaged on SO(3)."""
+    best: BestPose
+    spread: FullSpread
+    modes: list[Mode]
+    particles: int
+    ess: float
+    log_evidence: float
+    timing_ms: dict[str, float]
+    scorer: str
+
+
+class EstimateList(Wire):
+    """A page of estimates."""
+
+    estimates: list[Estimate]
+    next: str | None
+
+
+class Stage(Wire):
+    """One motion of a joint, in file coordinates."""
+
+    kind: Literal["revolute", "prismatic"]
+    parts: list[str]
+    axis: list[float]
+    origin: list[float]
+
+
+class Joint(Stage):
+    """A joint; kind, parts, axis and origin are those of its first stage."""
+
+    name: str
+    min: float
+    max: float
+    initial: float
+    period: float | None
+    """The silhouette repeats after so many degrees; null: unknown or never."""
+    stages: list[Stage]
+
+
+class Model(Wire):
+    """A model as it was prepared."""
+
+    model_id: str
+    """Hash of the file and the joints."""
+    name: str
+    file_type: str
+    faces: int
+    vertices: int
+    size: list[float]
+    """Of the bounding box at rest, model units."""
+    centre: list[float]
+    """Of that box in file coordinates: the origin of the body frame."""
+    watertight: bool
+    parts: list[str]
+    joints: list[Joint]
+    symmetries: list[dict[str, Any]]
+    warnings: list[str]
+    created_at: str
+
+
+class ModelList(Wire):
+    """A page of models."""
+
+    models: list[Model]
+    next: str | None
+
+
+class BackgroundResult(Wire):
+    """What is known of the background now."""
+
+    background_frames: int
+    state: Literal["waiting_for_background", "ready"]
+
+
+class Submission(Wire):
+    """A frame that was taken but is not answered yet."""
+
+    session_id: str
+    key: str
+    """Its idempotency key."""
+    state: Literal["pending"] = "pending"
+    location: str
+    """Where the estimate will be."""
+
+
+def _section(hint: Any) -> Any:
+    """A section of the configuration as clients send it: any subset of its fields."""
+    schema = TypeAdapter(hint).json_schema()
+    schema.pop("required", None)
+    return Annotated[dict[str, Any] | None, WithJsonSchema(schema)]
+
+
+_SECTIONS: dict[str, Any] = {
+    item.name: (_section(item.default_factory), Field(default=None)) for item in fields(SessionConfig)
+}
+SECTION_NAMES = tuple(_SECTIONS)
+
+
+class _SessionHead(Wire):
+    model_id: str
+    """From the model's upload."""
+    name: Annotated[str, Field(max_length=200)] | None = None
+    """For people."""
+
+
+SessionRequest = create_model("SessionRequest", __base__=_SessionHead, **_SECTIONS)
+"""A new session; what is left out comes from the preset."""
+
+
+class Session(Wire):
+    """A session with its whole effective configuration."""
+
+    session_id: str
+    name: str | None
+    model_id: str
+    state: Literal["waiting_for_background", "ready"]
+    status: Literal["acquiring", "tracking", "lost", "no_target"] | None
+    """Of the last estimate."""
+    frames: int
+    """Frames tracked so far: the next frame's index."""
+    last_seq: int
+    """Number of the newest event of the stream."""
+    background_frames: int
+    background: dict[str, Any] | None
+    """Height, width, channels and bits that every frame must have."""
+    created_at: str
+    updated_at: str
+    warnings: list[str]
+    filter: dict[str, Any]
+    likelihood: dict[str, Any]
+    prior: dict[str, Any]
+    motion: dict[str, Any]
+    camera: dict[str, Any]
+    joints: dict[str, Any]
+    links: dict[str, str]
+
+
+class SessionList(Wire):
+    """A page of sessions."""
+
+    sessions: list[Session]
+    next: str | None
+
+
+class Health(Wire):
+    """Whether the service lives or is ready."""
+
+    status: Literal["ok", "starting"]
+    checks: dict[str, bool]
+
+
+class System(Wire):
+    """What the service runs on."""
+
+    name: str
+    version: str
+    started_at: str
+    uptime_s: float
+    worker: dict[str, Any]
+    """Devices, scorer and versions, as a worker sees them."""
+    workers: list[dict[str, Any]]
+    sessions: int
+    settings: dict[str, Any]

@@ -1,0 +1,60 @@
+"""Routes of sessions: create, list, read, delete."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+
+from service.api import schemas
+from service.api.bodies import read_json
+from service.api.paging import next_page, page_limit, problems
+from service.api.services import ServicesDep
+
+router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
+_REQUEST = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": schemas.SessionRequest.model_json_schema()}},
+    }
+}
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_model=schemas.Session,
+    responses=problems(404, 413, 415, 422, 503),
+    openapi_extra=_REQUEST,
+)
+async def create_session(request: Request, response: Response, services: ServicesDep) -> dict[str, Any]:
+    """Begin a session for one object. The answer holds the whole effective configuration."""
+    wanted = (await read_json(request, schemas.SessionRequest)).model_dump(exclude_none=True)
+    sections = {name: wanted[name] for name in schemas.SECTION_NAMES if name in wanted}
+    session = await services.registry.create(wanted["model_id"], wanted.get("name"), sections)
+    response.headers["Location"] = f"/v1/sessions/{session['session_id']}"
+    return session
+
+
+@router.get("", response_model=schemas.SessionList, responses=problems(422))
+async def list_sessions(
+    services: ServicesDep,
+    after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
+    limit: Annotated[int, Query(ge=1)] = 100,
+) -> dict[str, Any]:
+    """All sessions in order of creation."""
+    limit = page_limit(limit, services.settings)
+    found, cursor = await services.archive.sessions(after, limit)
+    return {"sessions": found, "next": next_page("/v1/sessions", cursor, limit)}
+
+
+@router.get("/{session_id}", response_model=schemas.Session, responses=problems(404))
+async def read_session(session_id: str, services: ServicesDep) -> dict[str, Any]:
+    """One session."""
+    return await services.archive.session(session_id)
+
+
+@router.delete("/{session_id}", status_code=204, responses=problems(404, 503))
+async def delete_session(session_id: str, services: ServicesDep) -> None:
+    """Delete a session with its whole history."""
+    await services.registry.remove(session_id)

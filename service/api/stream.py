@@ -1,0 +1,139 @@
+"""The live stream of a session: WebSocket, and the same as server-sent events."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Coroutine
+from typing import Annotated, Any
+
+import orjson
+import structlog
+from fastapi import APIRouter, Header, Query, Response, WebSocket
+from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocketDisconnect, WebSocketState
+
+from service.api.paging import problems
+from service.api.problems import problem_response
+from service.api.services import Services, ServicesDep, services_of
+from service.errors import InputError, SkyposeError
+from service.sessions.hub import Message
+
+log = structlog.get_logger(__name__)
+router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["stream"])
+CLOSE_NORMAL, CLOSE_GOING_AWAY, CLOSE_TRY_AGAIN = 1000, 1001, 1013
+
+
+@router.get(
+    "/events",
+    response_class=Response,
+    responses={200: {"content": {"text/event-stream": {}}}, **problems(404, 422, 503)},
+)
+async def events(
+    session_id: str,
+    services: ServicesDep,
+    after: Annotated[int | None, Query(ge=-1, le=2**53, description="Events after this number")] = None,
+    last_event_id: Annotated[str | None, Header(description="Wins over `after`: a resumed stream")] = None,
+) -> Response:
+    """Estimates as they come. `after=0` begins with the first; without it only new ones are sent."""
+    if last_event_id:
+        after = _number(last_event_id, "header:Last-Event-ID")
+    return EventStream(services, session_id, after)
+
+
+@router.websocket("/stream")
+async def stream(websocket: WebSocket, session_id: str) -> None:
+    """The same as `events`; `?after=N` resumes. What a client sends is ignored."""
+    services = services_of(websocket)
+    try:
+        text = websocket.query_params.get("after")
+        after = None if text is None else _number(text, "query:after")
+        async with services.hub.watch(session_id, after) as messages:
+            await websocket.accept()
+            timeout_s = services.settings.stream_send_timeout_s
+            await _first(_send_all(websocket, messages, timeout_s), _until_gone(websocket))
+    except SkyposeError as error:
+        if websocket.application_state is WebSocketState.CONNECTING:
+            await websocket.send_denial_response(problem_response(error))
+        else:
+            await websocket.close(CLOSE_TRY_AGAIN, error.title)
+
+
+async def _send_all(websocket: WebSocket, messages: AsyncGenerator[Message], timeout_s: float) -> None:
+    async for message in messages:
+        await asyncio.wait_for(websocket.send_text(message_json(message).decode()), timeout_s)
+        if message.type == "end":
+            code = CLOSE_GOING_AWAY if message.reason == "shutdown" else CLOSE_NORMAL
+            await websocket.close(code, message.reason)
+
+
+async def _until_gone(websocket: WebSocket) -> None:
+    while True:
+        await websocket.receive()  # raises RuntimeError once the client has gone
+
+
+class EventStream(Response):
+    """A response that goes on until the session or the client ends."""
+
+    media_type = "text/event-stream"
+
+    def __init__(self, services: Services, session_id: str, after: int | None) -> None:
+        super().__init__(headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
+        del self.headers["content-length"]
+        self._services = services
+        self._session_id = session_id
+        self._after = after
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the head, then every message."""
+        async with self._services.hub.watch(self._session_id, self._after) as messages:
+            await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
+            await _first(self._send_all(messages, send), _until_disconnected(receive))
+
+    async def _send_all(self, messages: AsyncGenerator[Message], send: Send) -> None:
+        timeout_s = self._services.settings.stream_send_timeout_s
+        async for message in messages:
+            head = f"id: {message.seq}\nevent: {message.type}\ndata: ".encode()
+            body = head + message_json(message) + b"\n\n"
+            await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), timeout_s)
+        await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+
+async def _until_disconnected(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
+
+async def _first(*work: Coroutine[Any, Any, None]) -> None:
+    """Run until the first ends, cancel the others. A client that left or stalled is no error."""
+    tasks = [asyncio.create_task(item) for item in work]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        ended = await asyncio.gather(*tasks, return_exceptions=True)
+    for result in ended:
+        if isinstance(result, TimeoutError):
+            log.info("watcher let go: it took nothing for too long")
+        elif isinstance(result, Exception) and not isinstance(result, WebSocketDisconnect | RuntimeError | OSError):
+            raise result
+
+
+def message_json(message: Message) -> bytes:
+    """A message as clients get it."""
+    head = b'{"type":"' + message.type.encode() + b'","seq":' + str(message.seq).encode()
+    if message.document is not None:
+        return head + b',"estimate":' + message.document + b"}"
+    if message.reason is not None:
+        return head + b',"reason":' + orjson.dumps(message.reason) + b"}"
+    return head + b"}"
+
+
+def _number(text: str, field: str) -> int:
+    try:
+        number = int(text)
+    except ValueError as error:
+        raise InputError("must be the number of an event", field=field) from error
+    if not -1 <= number <= 2**53:
+        raise InputError("must be the number of an event", field=field)
+    return number

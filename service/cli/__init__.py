@@ -1,0 +1,23 @@
+"""The ``skypose`` command: one module per subcommand. Heavy imports stay inside the commands."""
+
+from __future__ import annotations
+
+import typer
+
+from service.cli.demo import demo
+from service.cli.doctor import doctor
+from service.cli.serve import serve
+from service.cli.simulate import simulate
+from service.cli.track import track
+
+app = typer.Typer(name="skypose", no_args_is_help=True, pretty_exceptions_show_locals=False)
+app.command()(serve)
+app.command()(simulate)
+app.command()(demo)
+app.command()(track)
+app.command()(doctor)
+
+
+def main() -> None:
+    """Entry point of the ``skypose`` command."""
+    app()

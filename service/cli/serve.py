@@ -1,0 +1,55 @@
+"""``skypose serve``: the service alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+
+    from service.settings import Settings
+
+
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Data directory.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Tracking processes.")] = None,
+) -> None:
+    """Run the service. What is not given comes from SKYPOSE_... or the defaults (docs/settings.md)."""
+    from service.main import create_app
+    from service.settings import Settings
+
+    given: dict[str, Any] = {"host": host, "port": port, "data_dir": data, "workers": workers}
+    settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    run(create_app(settings), settings)
+
+
+def run(app: FastAPI, settings: Settings) -> None:
+    """Serve an application until SIGINT or SIGTERM, then finish the frames in hand."""
+    import uvicorn
+
+    from service.cli import logs
+
+    class Server(uvicorn.Server):
+        """Sends the watchers home first: uvicorn would wait for their endless answers."""
+
+        def handle_exit(self, sig: int, frame: Any) -> None:
+            app.state.services.hub.stop()
+            super().handle_exit(sig, frame)
+
+    logs.configure(settings.log_level, settings.log_format)
+    config = uvicorn.Config(
+        app,
+        host=settings.host,
+        port=settings.port,
+        log_config=None,
+        ws="websockets-sansio",
+        ws_max_size=1 << 16,
+        timeout_graceful_shutdown=int(settings.shutdown_grace_s) or 1,
+        server_header=False,
+    )
+    Server(config).run()

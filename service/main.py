@@ -1,0 +1,139 @@
+"""``create_app``: the one place that builds the rooms and wires them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import structlog
+from fastapi import FastAPI
+from starlette.responses import FileResponse, Response
+from starlette.staticfiles import StaticFiles
+
+from service.api import estimates, frames, health, models, problems, sessions, stream
+from service.api.bodies import BodyLimits
+from service.api.observe import Observe
+from service.api.services import Services
+from service.api.submissions import Submissions
+from service.metrics import Metrics
+from service.sessions.admission import Admission
+from service.sessions.archive import Archive
+from service.sessions.hub import Hub
+from service.sessions.library import Library
+from service.sessions.registry import Registry
+from service.sessions.session import Rooms
+from service.sessions.status import Status
+from service.settings import MEBIBYTE, Settings
+from service.store.base import Retention
+from service.store.database import Database
+from service.workers.engine import Engine, Transport
+from service.workers.process import ProcessTransport
+
+log = structlog.get_logger(__name__)
+TRACKER = "service.workers.tracker:Tracker"
+VIEWER = Path(__file__).parent / "viewer"
+HOUSEKEEPING_S = 1.0
+
+
+def create_app(settings: Settings, transport: Transport | None = None) -> FastAPI:
+    """The application. ``transport`` replaces the worker processes, for tests."""
+    engine = Engine(transport or worker_processes(settings, TRACKER))
+    database = Database(settings.data_dir, settings.reader_threads)
+    services = _build(settings, engine, database)
+    app = FastAPI(
+        title="skypose",
+        version=health.release(),
+        summary="Spacecraft pose from telescope video, by a particle filter on silhouettes",
+        docs_url=None,
+        redoc_url=None,
+        lifespan=partial(_lifespan, services, engine, database),
+    )
+    app.state.services = services
+    problems.install(app)
+    for room in (models, sessions, frames, estimates, stream, health):
+        app.include_router(room.router)
+    app.add_middleware(BodyLimits, settings=settings)
+    app.add_middleware(Observe)
+    _serve_viewer(app)
+    return app
+
+
+def worker_processes(settings: Settings, factory: str) -> ProcessTransport:
+    """Tracking in processes of their own, each with the worker that ``factory`` (module:name) builds."""
+    return ProcessTransport(factory, settings.workers, settings.worker_timeout_s, settings.worker_start_timeout_s)
+
+
+def _build(settings: Settings, engine: Engine, database: Database) -> Services:
+    metrics = Metrics()
+    hub = Hub(
+        database,
+        ring=settings.stream_ring_events,
+        max_lag=settings.stream_max_lag_events,
+        heartbeat_s=settings.stream_heartbeat_s,
+        max_watchers=settings.max_streams,
+    )
+    retention = Retention(settings.keep_frame_bodies, settings.keep_particle_sets, settings.keep_particle_every)
+    rooms = Rooms(engine, database, hub, metrics, retention, settings.session_inbox_frames)
+    return Services(
+        settings=settings,
+        metrics=metrics,
+        hub=hub,
+        registry=Registry(rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions),
+        library=Library(database, engine),
+        archive=Archive(database, engine),
+        status=Status(database, engine),
+        admission=Admission(settings.max_pending_mb * MEBIBYTE),
+        submissions=Submissions(),
+        started=datetime.now(UTC),
+    )
+
+
+@contextlib.asynccontextmanager
+async def _lifespan(services: Services, engine: Engine, database: Database, app: FastAPI) -> AsyncIterator[None]:
+    async with contextlib.AsyncExitStack() as stack:
+        await database.open()
+        stack.push_async_callback(database.close)
+        stack.push_async_callback(engine.transport.close)
+        await engine.transport.start()
+        stack.push_async_callback(services.submissions.close)
+        stack.push_async_callback(services.registry.close)
+        stack.callback(services.hub.stop)
+        housekeeping = asyncio.create_task(_keep_house(services, engine))
+        stack.push_async_callback(_cancel, housekeeping)
+        log.info("ready", version=app.version)
+        yield
+    log.info("stopped")
+
+
+async def _keep_house(services: Services, engine: Engine) -> None:
+    metrics, registry = services.metrics, services.registry
+    while True:
+        due = time.monotonic() + HOUSEKEEPING_S
+        await asyncio.sleep(HOUSEKEEPING_S)
+        metrics.loop_lag_seconds.set(time.monotonic() - due)
+        metrics.evictions.inc(registry.evict())
+        metrics.resident_sessions.set(len(registry.resident))
+        metrics.waiting_frames.set(sum(owner.inbox.size for owner in registry.resident.values()))
+        metrics.waiting_bytes.set(services.admission.size)
+        metrics.watchers.set(services.hub.watchers)
+        metrics.worker_restarts.set(engine.transport.restarts)
+
+
+async def _cancel(task: asyncio.Task[None]) -> None:
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+
+
+def _serve_viewer(app: FastAPI) -> None:
+    app.mount("/static", StaticFiles(directory=VIEWER), name="static")
+
+    @app.get("/", include_in_schema=False)
+    async def page() -> Response:
+        """The viewer."""
+        return FileResponse(VIEWER / "index.html", headers={"Cache-Control": "no-cache"})

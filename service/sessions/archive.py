@@ -1,0 +1,136 @@
+"""What was tracked, read back: sessions, estimates, overlays, particles. Reads only what is committed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import orjson
+
+from service.errors import NotFoundError
+from service.inference.articulation import hold
+from service.inference.params import SessionConfig
+from service.inference.state import FilterState
+from service.sessions import config as session_config
+from service.sessions.document import JointNames
+from service.sessions.library import articulation_of
+from service.store import frames, models, sessions
+from service.store.base import ModelRecord, SessionRecord
+from service.store.database import Database
+from service.workers.base import OverlayJob
+from service.workers.codec import decode
+from service.workers.engine import Engine
+
+EVERYTHING = 1 << 30
+
+
+class Archive:
+    """The history of all sessions. Everything raises ``NotFoundError`` for what never was."""
+
+    def __init__(self, database: Database, engine: Engine) -> None:
+        self._database = database
+        self._engine = engine
+
+    async def session(self, session_id: str) -> dict[str, Any]:
+        """One session."""
+        return session_document(await self._database.read(sessions.get, session_id))
+
+    async def sessions(self, after: int, limit: int) -> tuple[list[dict[str, Any]], int | None]:
+        """Sessions after a cursor, and the cursor of the next page or None."""
+        found = await self._database.read(sessions.page, after, limit + 1)
+        following = found[limit - 1].number if len(found) > limit else None
+        return [session_document(record) for record in found[:limit]], following
+
+    async def estimate(self, session_id: str, index: int | None) -> bytes:
+        """The estimate of a frame (None: the newest) as JSON bytes."""
+        return await self._database.read(frames.estimate, session_id, index)
+
+    async def estimates(self, session_id: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
+        """Estimates after an index, and the index to go on from or None."""
+        found = await self._database.read(frames.estimate_page, session_id, after, limit + 1)
+        following = found[limit - 1][0] if len(found) > limit else None
+        return [document for _, document in found[:limit]], following
+
+    async def by_key(self, session_id: str, key: str) -> bytes | None:
+        """The estimate of the frame that was sent with this idempotency key, or None."""
+        _, stored = await self._database.read(frames.find, session_id, index=None, key=key)
+        return None if stored is None else await self.estimate(session_id, stored.index)
+
+    async def overlay(self, session_id: str, index: int) -> bytes:
+        """PNG of a frame with its best silhouette. Raises ``GoneError`` where the frame is no longer kept."""
+        body, media_type = await self._database.read(frames.body, session_id, index)
+        best = orjson.loads(await self.estimate(session_id, index))["best"]
+        model, config = await self._setting(session_id)
+        articulation = hold(articulation_of(model), config.joints.free, config.joints.fixed)
+        job = OverlayJob(
+            model=model.blob_key,
+            file_type=model.file_type,
+            articulation=articulation,
+            body=body,
+            media_type=media_type,
+            quaternion=np.array([best["orientation"][axis] for axis in "wxyz"]),
+            position=np.array([best["x_px"], best["y_px"]]),
+            scale=best["scale_px"],
+            joints=np.array([best["joints"][joint.name] for joint in articulation.joints], dtype=np.float64),
+        )
+        return await self._engine.overlay(job, self._blob)
+
+    async def particles(self, session_id: str, index: int | None) -> tuple[int, bytes, tuple[str, ...]]:
+        """Frame, packed state and joint names of a particle set. Raises ``GoneError`` where it is not kept."""
+        found, packed = await self._database.read(frames.particle_set, session_id, index)
+        return found, packed, await self.joint_names(session_id)
+
+    async def joint_names(self, session_id: str) -> tuple[str, ...]:
+        """Names of the estimated joints, in the order of their columns."""
+        model, config = await self._setting(session_id)
+        return JointNames.of(articulation_of(model), config).free
+
+    async def require_key(self, session_id: str, key: str) -> None:
+        """Say what is missing: the session, or a frame with this key."""
+        await self._database.read(sessions.get, session_id)
+        raise NotFoundError(f"no frame with key {key!r}", field="key")
+
+    async def _setting(self, session_id: str) -> tuple[ModelRecord, SessionConfig]:
+        record = await self._database.read(sessions.get, session_id)
+        model = await self._database.read(models.get, record.model_id)
+        return model, session_config.parse(orjson.dumps(record.config))
+
+    async def _blob(self, key: str) -> bytes:
+        return await self._database.read(models.get_blob, key)
+
+
+def particle_arrays(packed: bytes) -> dict[str, Any]:
+    """A packed state as named arrays: orientation (N, 4) w x y z, position_px (N, 2), scale_px, joints, weights."""
+    state = decode(FilterState, packed)
+    return {
+        "orientation": state.poses.quaternion,
+        "position_px": state.poses.position,
+        "scale_px": np.exp(state.poses.log_scale),
+        "joints": state.poses.joints,
+        "weights": np.exp(state.log_weights - np.logaddexp.reduce(state.log_weights)),
+    }
+
+
+def session_document(record: SessionRecord) -> dict[str, Any]:
+    """A stored session as the API answers it."""
+    here = f"/v1/sessions/{record.id}"
+    return {
+        "session_id": record.id,
+        "name": record.name,
+        "model_id": record.model_id,
+        "state": "waiting_for_background" if record.background_key is None else "ready",
+        "status": record.status,
+        "frames": record.next_index,
+        "last_seq": record.next_seq - 1,
+        "background_frames": record.background_frames,
+        "background": record.background_info,
+        "created_at": record.created_at,
+        "updated_at": record.updated_at,
+        "warnings": list(record.warnings),
+        **record.config,
+        "links": {
+            "model": f"/v1/models/{record.model_id}",
+            **{name: f"{here}/{name}" for name in ("background", "frames", "estimates", "particles")},
+            **{name: f"{here}/{name}" for name in ("stream", "events", "checkpoint", "export")},
+        },
+    }

@@ -1,0 +1,145 @@
+"""The uploaded models: prepared once, known by their content."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import orjson
+from pydantic import TypeAdapter
+
+from service.inference.articulation import Articulation, Joint, Stage
+from service.sessions.frame import format_time
+from service.store import models
+from service.store.base import ModelRecord
+from service.store.database import Database
+from service.workers.base import ModelJob, ModelReport
+from service.workers.engine import Engine
+
+ARTICULATION: TypeAdapter[Articulation] = TypeAdapter(Articulation)
+Document = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A model file as it was sent."""
+
+    data: bytes
+    file_type: str
+    name: str
+    joints: tuple[Mapping[str, Any], ...] | None
+
+
+def articulation_of(model: ModelRecord) -> Articulation:
+    """Parts and joints of a stored model."""
+    return ARTICULATION.validate_python(model.report["articulation"])
+
+
+class Library:
+    """Takes models in and describes them."""
+
+    def __init__(self, database: Database, engine: Engine) -> None:
+        self._database = database
+        self._engine = engine
+
+    async def add(self, upload: Upload) -> tuple[Document, bool]:
+        """Prepare and store a model, unless the same content is there. Returns it, and whether it is new.
+
+        Raises what the worker finds wrong with it: ``MeshFileError``, ``JointError``, ``TooLargeError``.
+        """
+        model_id = await asyncio.to_thread(content_id, upload)
+        known = await self._database.read(models.find, model_id)
+        if known is not None:
+            return model_document(known), False
+        record = await self.prepare(model_id, upload)
+        await self._database.write(models.add, record, upload.data)
+        return model_document(record), True
+
+    async def prepare(self, model_id: str, upload: Upload) -> ModelRecord:
+        """Check and describe a model, without storing it."""
+        report = await self._engine.prepare_model(ModelJob(upload.data, upload.file_type, upload.joints))
+        blob_key = (await asyncio.to_thread(hashlib.sha256, upload.data)).hexdigest()
+        return ModelRecord(
+            id=model_id,
+            name=upload.name,
+            file_type=upload.file_type,
+            blob_key=blob_key,
+            joints=upload.joints,
+            report=_report(report),
+            created_at=format_time(datetime.now(UTC)),
+        )
+
+    async def get(self, model_id: str) -> Document:
+        """One model. Raises ``NotFoundError``."""
+        return model_document(await self._database.read(models.get, model_id))
+
+    async def page(self, after: int, limit: int) -> tuple[list[Document], int | None]:
+        """Models after a cursor, and the cursor of the next page or None."""
+        found = await self._database.read(models.page, after, limit + 1)
+        following = found[limit - 1].number if len(found) > limit else None
+        return [model_document(record) for record in found[:limit]], following
+
+    async def remove(self, model_id: str) -> None:
+        """Delete a model. Raises ``NotFoundError``, or ``ModelInUseError`` while a session needs it."""
+        await self._database.write(models.remove, model_id)
+
+
+def content_id(upload: Upload) -> str:
+    """Hash of the file and the joints given with it."""
+    digest = hashlib.sha256(upload.data)
+    if upload.joints is not None:
+        digest.update(b"\0joints\0" + orjson.dumps(upload.joints, option=orjson.OPT_SORT_KEYS))
+    digest.update(b"\0" + upload.file_type.encode())
+    return digest.hexdigest()[:32]
+
+
+def model_document(record: ModelRecord) -> Document:
+    """A stored model as the API answers it."""
+    report = record.report
+    articulation = articulation_of(record)
+    return {
+        "model_id": record.id,
+        "name": record.name,
+        "file_type": record.file_type,
+        **{name: report[name] for name in ("faces", "vertices", "size", "centre", "watertight")},
+        "parts": list(articulation.parts),
+        "joints": [_joint(joint, report["centre"]) for joint in articulation.joints],
+        "symmetries": report["symmetries"],
+        "warnings": report["warnings"],
+        "created_at": record.created_at,
+    }
+
+
+def _report(report: ModelReport) -> Document:
+    return {
+        "faces": report.faces,
+        "vertices": report.vertices,
+        "size": list(report.size),
+        "centre": list(report.centre),
+        "watertight": report.watertight,
+        "articulation": ARTICULATION.dump_python(report.articulation, mode="json"),
+        "symmetries": [dict(item) for item in report.symmetries],
+        "warnings": list(report.warnings),
+    }
+
+
+def _joint(joint: Joint, centre: list[float]) -> Document:
+    stages = [_stage(stage, centre) for stage in joint.stages]
+    return {
+        **stages[0],
+        "name": joint.name,
+        "min": joint.minimum,
+        "max": joint.maximum,
+        "initial": joint.initial,
+        "period": joint.period,
+        "stages": stages,
+    }
+
+
+def _stage(stage: Stage, centre: list[float]) -> Document:
+    origin = [a + b for a, b in zip(stage.origin, centre, strict=True)]  # body frame -> file coordinates
+    return {"kind": stage.kind, "parts": list(stage.parts), "axis": list(stage.axis), "origin": origin}

@@ -1,0 +1,148 @@
+"""A worker for fast tests: real decoding, no filter. The pose drifts by the frame's hash, so every frame and the
+state before it leave their mark on all later answers."""
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+
+from service.errors import (
+    ImageError,
+    ImageMismatchError,
+    MeshFileError,
+    MissingBlobError,
+    UnsupportedMediaTypeError,
+)
+from service.inference.articulation import Articulation, Joint, Stage, hold
+from service.inference.state import Estimate, FilterState, Mode, PoseEstimate, Poses, Spread
+from service.workers.base import (
+    BackgroundJob,
+    BackgroundReport,
+    FrameJob,
+    FrameReport,
+    ModelJob,
+    ModelReport,
+    OverlayJob,
+)
+
+CUBE = b"cube"
+"""A model file that the fake takes: one joint, ``panel``."""
+
+
+class FakeWorker:
+    """Implements ``service.workers.base.Worker``."""
+
+    delay_s = 0.0  # of each frame: long enough to be caught in the middle
+
+    def __init__(self) -> None:
+        self.blobs: dict[str, bytes] = {}
+
+    def prepare_model(self, job: ModelJob) -> ModelReport:
+        if not job.data.startswith(CUBE):
+            raise MeshFileError("the mesh has no faces", field="file")
+        stage = Stage("revolute", ("wing",), (0.0, 0.0, 1.0), (0.5, 0.0, 0.0))
+        joints = (Joint("panel", "revolute", -90.0, 90.0, 0.0, (stage,)),) if b"joint" in job.data else ()
+        return ModelReport(
+            faces=12,
+            vertices=8,
+            size=(1.0, 1.0, 1.0),
+            centre=(1.0, 2.0, 3.0),
+            watertight=True,
+            articulation=Articulation(("body", "wing"), joints),
+            warnings=("a cube",),
+        )
+
+    def learn_background(self, job: BackgroundJob) -> BackgroundReport:
+        image = decode(job.body, job.media_type)
+        known = {"frames": 0, "shape": list(image.shape)} if job.background is None else json.loads(job.background)
+        if known["shape"] != list(image.shape):
+            raise ImageMismatchError("other size", field="body")
+        known["frames"] += 1
+        height, width = image.shape[:2]
+        return BackgroundReport(json.dumps(known).encode(), known["frames"], height, width, 1, 8)
+
+    def track(self, job: FrameJob) -> FrameReport:
+        self.blobs.update(job.blobs)
+        missing = [key for key in (job.model, job.background) if key not in self.blobs]
+        if missing:
+            raise MissingBlobError.of(missing)
+        image = decode(job.body, job.media_type)
+        if list(image.shape) != json.loads(self.blobs[job.background])["shape"]:
+            raise ImageMismatchError("other size than the background", field="body")
+        time.sleep(self.delay_s)
+        articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
+        state = drift(job, articulation.n_joints)
+        return FrameReport(state, summary(state), {"decode": 1.0, "total": 2.0}, "fake")
+
+    def overlay(self, job: OverlayJob) -> bytes:
+        self.blobs.update(job.blobs)
+        if job.model not in self.blobs:
+            raise MissingBlobError.of([job.model])
+        image = cv2.cvtColor(decode(job.body, job.media_type), cv2.COLOR_GRAY2BGR)
+        image[..., 0] = 255
+        return cv2.imencode(".png", image)[1].tobytes()
+
+    def describe(self) -> Mapping[str, Any]:
+        return {"scorer": "fake"}
+
+    def close(self) -> None:
+        self.blobs.clear()
+
+
+class SlowWorker(FakeWorker):
+    """Takes a little while for each frame."""
+
+    delay_s = 0.03
+
+
+def decode(body: bytes, media_type: str) -> np.ndarray:
+    if media_type != "image/png":
+        raise UnsupportedMediaTypeError("only PNG", field="header:Content-Type", supported=["image/png"])
+    image = None
+    if body.endswith(b"IEND\xaeB`\x82"):
+        image = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ImageError("the image is truncated", field="body")
+    return image
+
+
+def drift(job: FrameJob, n_joints: int) -> FilterState:
+    n = min(job.config.filter.particles, 50)
+    seed = int.from_bytes(hashlib.sha256(job.body).digest()[:8], "little")
+    rng = np.random.Generator(np.random.Philox(key=[job.config.filter.seed ^ seed, job.frame_index]))
+    before = job.state
+    if before is None:
+        poses = Poses(np.tile([1.0, 0, 0, 0], (n, 1)), np.zeros((n, 2)), np.zeros(n), np.zeros((n, n_joints)))
+    else:
+        poses = before.poses
+    quaternion = poses.quaternion + 0.1 * rng.normal(size=(n, 4))
+    moved = Poses(
+        quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
+        poses.position * 0.9 + rng.normal(size=(n, 2)),
+        poses.log_scale + 0.01 * rng.normal(size=n),
+        poses.joints + rng.normal(size=poses.joints.shape),
+    )
+    log_weights = np.log(rng.dirichlet(np.ones(n)))
+    rates = np.zeros((n, 6 + n_joints))
+    memory = {"seen": np.array([job.frame_index], np.int32)}
+    return FilterState(moved, log_weights, rates, job.frame_index, job.time_s, "tracking", memory)
+
+
+def summary(state: FilterState) -> Estimate:
+    weights = np.exp(state.log_weights)
+    best = int(np.argmax(weights))
+    n_joints = state.poses.joints.shape[1]
+    pose = PoseEstimate(
+        state.poses.quaternion[best],
+        state.poses.position[best],
+        float(np.exp(state.poses.log_scale[best])),
+        state.poses.joints[best],
+    )
+    spread = Spread(1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.1, np.ones(n_joints), np.eye(6 + n_joints))
+    ess = float(1 / np.sum(weights**2))
+    mode = Mode(1.0, pose, spread)
+    return Estimate(state.status, pose, pose, -1.0, spread, (mode,), len(weights), ess, -float(state.time_s))
