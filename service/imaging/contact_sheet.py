@@ -16,7 +16,7 @@ SHOWN_FRAMES = (1, 5, 10, 100)
 
 _COLUMNS = ("frame", "best silhouette", "overlay")
 _LEAST_WIDTH_PX = 256
-_MARGIN_PX, _HEADER_PX, _LABEL_PX = 6, 26, 190
+_MARGIN_PX, _HEADER_PX, _LABEL_PX = 6, 42, 190
 _FONT, _FONT_SIZE, _LINE_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.45, 17
 _INK, _PAPER = (230, 230, 230), 24
 
@@ -44,7 +44,7 @@ def contact_sheet(title: str, rows: Sequence[SheetRow]) -> RGB:
     if strips:
         step = (width - _LABEL_PX) // len(_COLUMNS)
         for k, name in enumerate(_COLUMNS):
-            _write(header, name, _LABEL_PX + k * step, _LINE_PX)
+            _write(header, name, _LABEL_PX + k * step, 2 * _LINE_PX)
     return np.vstack([header, *strips])
 
 

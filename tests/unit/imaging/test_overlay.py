@@ -64,6 +64,6 @@ def test_a_sheet_has_three_pictures_a_row():
     mask = disc((128, 128))
     sheet = contact_sheet("a pass", [SheetRow("frame 1\nIoU 0.9", image, mask)] * 2)
     left = sheet.shape[1] - 3 * (256 + 6)
-    silhouette = sheet[26 : 26 + 256, left + 262 : left + 262 + 256]
+    silhouette = sheet[42 : 42 + 256, left + 262 : left + 262 + 256]
     np.testing.assert_array_equal(silhouette[::2, ::2], draw_silhouette(mask))
-    assert sheet.shape[0] == 26 + 2 * (256 + 6)
+    assert sheet.shape[0] == 42 + 2 * (256 + 6)
