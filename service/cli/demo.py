@@ -72,16 +72,17 @@ def _run(client: DemoPass, console: Console, sheet: Path) -> Verdict:
     from service.cli.demo_pass import judge
 
     client.open()
-    console.print(_HEADER)
+    console.print(_HEADER, soft_wrap=True, highlight=False)
     results = []
     for result in client.track():
         results.append(result)
-        console.print(_line(result))
+        console.print(_line(result), soft_wrap=True, highlight=False)
     client.write_sheet(results, sheet)
     verdict = judge(results)
     console.print(
         f"{'track held' if verdict.held else 'TRACK LOST'}: {100 * verdict.within_share:.0f} % of the settled frames "
-        f"within 5 deg, median error {verdict.median_error_deg:.2f} deg, median IoU {verdict.median_iou:.3f}"
+        f"within 5 deg, median error {verdict.median_error_deg:.2f} deg, median IoU {verdict.median_iou:.3f}",
+        soft_wrap=True,
     )
     console.print(f"contact sheet: {sheet}")
     return verdict

@@ -1,7 +1,7 @@
 """The bundled demo satellite: a bus with one large wing on a joint, a dish, a boom, each on its own side.
 
-No mirror plane and no rotation leaves it as it is, and the wing is off its hinge line, so that half a turn of
-the joint shows too. Metres; +z is up, the wing reaches towards +y.
+No mirror plane and no rotation leaves it as it is. The wing is off its hinge line and carries a reflector across
+its edge, so that every angle of the joint looks different. Metres; +z is up, the wing reaches towards +y.
 """
 
 from __future__ import annotations
@@ -47,4 +47,6 @@ def _boom(start: Vector, length: float) -> Solid:
 def _wing() -> Solid:
     yoke = prism(np.array([[-0.12, -0.1], [0.12, -0.1], [0.45, 1.0], [-0.2, 1.0]]), 0.08)
     panel = box((1.7, 5.2, 0.06)).moved((0.4, 3.55, 0.0))
-    return merged([yoke, panel])
+    # A reflector along one edge: without it the wing tilted towards the camera looks like one tilted away.
+    reflector = box((0.06, 3.4, 0.75)).moved((1.22, 2.9, 0.36))
+    return merged([yoke, panel, reflector])
