@@ -50,16 +50,18 @@ def serve(channel: connection.Connection, factory: str) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     worker: Worker | None = None
+    ready = False
     try:
         worker = load_factory(factory)()
         channel.send_bytes(pickle.dumps(("done", dict(worker.describe()))))
+        ready = True
         while (message := channel.recv_bytes()) != b"":
             outcome = _answer(worker, message)
             channel.send_bytes(pickle.dumps(outcome, protocol=5))
     except EOFError:
         return
     except Exception:
-        if worker is None:
+        if not ready:
             channel.send_bytes(pickle.dumps(("broken", traceback.format_exc())))
         raise
     finally:
