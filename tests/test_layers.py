@@ -34,7 +34,7 @@ ROOMS: dict[str, set[str]] = {
 # Third-party packages of the rooms that must run anywhere, or know nothing of the rest.
 PACKAGES: dict[str, set[str]] = {
     "service.inference": {"numpy", "scipy"},
-    "service.imaging": {"numpy", "cv2"},
+    "service.imaging": {"numpy", "scipy", "cv2"},
     "gpu": {"numpy", "scipy", "pyopencl", "moderngl", "trimesh", "fast_simplification"},
     "service.errors": set(),
 }
