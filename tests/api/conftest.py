@@ -19,7 +19,7 @@ def make_app(tmp_path: Path) -> Callable[..., FastAPI]:
     """Builds an application over the fake worker; settings as keywords."""
 
     def make(factory: Callable[[], Any] = FakeWorker, **settings: Any) -> FastAPI:
-        return create_app(Settings(data_dir=tmp_path / "data", **settings), InlineTransport(factory))
+        return create_app(Settings(**{"data_dir": tmp_path / "data", **settings}), InlineTransport(factory))
 
     return make
 
