@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from service.cli.model_file import ModelFile
     from service.simulate.scenario import Scenario
 
-_MODELS_IN_STEP = 7919
+_SEED_STRIDE = 7919  # passes of neighbouring seeds do not overlap until there are so many
 
 
 def simulate(
@@ -34,7 +34,7 @@ def simulate(
     wanted = None if size is None else parse_size(size)
     if random:
         for k in range(random):
-            scenario = randomised(seed * _MODELS_IN_STEP + k, size=wanted or (256, 256), frames=frames or 40)
+            scenario = randomised(seed * _SEED_STRIDE + k, size=wanted or (256, 256), frames=frames or 40)
             _write(models[k % len(models)], scenario, out / f"pass_{k:03d}", joints)
         return
     if preset not in PRESETS:

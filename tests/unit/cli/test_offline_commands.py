@@ -1,0 +1,111 @@
+"""``skypose simulate`` and ``skypose track`` on files: what goes in, what comes out, what is refused."""
+
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from service.cli import app
+from service.cli.demo_pass import FrameResult, judge
+from service.cli.images import open_images
+from service.cli.options import choose_joints, parse_box, parse_size
+from service.simulate.compare import PoseErrors
+
+RUNNER = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("pass")
+    arguments = ["simulate", "--out", str(out), "--frames", "3", "--size", "96x96", "--preset", "demo"]
+    result = RUNNER.invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def test_simulate_writes_what_the_benchmark_reads(folder):
+    case = json.loads((folder / "case.json").read_text())
+    assert (case["mesh"], case["frames"], case["width"]) == ("demo.glb", 3, 96)
+    assert (folder / "demo.glb").read_bytes()[:4] == b"glTF"
+    assert sorted(p.name for p in (folder / "frames").iterdir()) == ["000.png", "001.png", "002.png"]
+
+
+def test_random_passes_go_round_the_meshes(folder, tmp_path):
+    meshes = ["--mesh", "demo", "--mesh", str(folder / "demo.glb")]
+    arguments = ["simulate", "--out", str(tmp_path), "--random", "3", "--frames", "1", "--size", "64x64", *meshes]
+    assert RUNNER.invoke(app, arguments).exit_code == 0
+    notes = [json.loads((tmp_path / f"pass_{k:03d}" / "case.json").read_text())["note"] for k in range(3)]
+    assert notes == ["random pass 0", "random pass 1", "random pass 2"]
+
+
+def test_track_writes_estimates_and_a_sheet(folder, tmp_path):
+    arguments = ["track", "--mesh", "demo", "--background", str(folder / "background")]
+    arguments += ["--frames", str(folder / "frames"), "--out", str(tmp_path), "--preset", "paper", "--particles", "50"]
+    result = RUNNER.invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    with (tmp_path / "estimates.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    lines = [json.loads(line) for line in (tmp_path / "estimates.jsonl").read_text().splitlines()]
+    assert [row["name"] for row in rows] == ["000.png", "001.png", "002.png"]
+    for k, (row, line) in enumerate(zip(rows, lines, strict=True)):
+        assert line["index"] == k
+        assert float(row["time_s"]) == pytest.approx(0.1 * k)
+        assert float(row["qx"]) == pytest.approx(line["best"]["orientation"]["x"], abs=1e-7)
+        assert float(row["wing"]) == pytest.approx(line["best"]["joints"]["wing"], abs=1e-3)
+        assert line["particles"] == 50
+    assert cv2.imread(str(tmp_path / "contact_sheet.png")).shape[0] > 2 * 256
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--box", "1,2,3"], "no box"),
+        ([], "one of --background, --box, --border"),
+        (["--border", "8", "--free", "flap"], "no joint 'flap'"),
+        (["--border", "8", "--joints", "[{}]"], "joints[0].name"),
+        (["--border", "8", "--preset", "best"], "preset"),
+        (["--border", "8", "--mesh", "nowhere.glb"], "nowhere.glb"),
+    ],
+)
+def test_track_refuses_with_the_reason(folder, tmp_path, arguments, message):
+    base = ["track", "--mesh", "demo", "--frames", str(folder / "frames"), "--out", str(tmp_path)]
+    result = RUNNER.invoke(app, base + arguments, env={"COLUMNS": "200", "TERM": "dumb"})
+    assert result.exit_code != 0
+    assert message in result.output
+
+
+def test_a_video_is_read_frame_by_frame(tmp_path):
+    path = tmp_path / "pass.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 20.0, (64, 48))
+    for k in range(4):
+        writer.write(np.full((48, 64, 3), 40 * k, np.uint8))
+    writer.release()
+    source = open_images(path)
+    assert source.interval_s == pytest.approx(0.05)
+    images = [cv2.imdecode(np.frombuffer(image.body, np.uint8), cv2.IMREAD_COLOR) for image in source]
+    assert [round(float(image.mean()) / 40) for image in images] == [0, 1, 2, 3]
+
+
+def test_option_values():
+    assert parse_size("320X240") == (320, 240)
+    assert parse_box("1,2.5,30,40") == (1.0, 2.5, 30.0, 40.0)
+    many = tuple("abcd")
+    assert choose_joints(None, many) == ()
+    assert choose_joints(None, many[:3]) == many[:3]
+    assert choose_joints("all", many) == many
+    assert choose_joints("none", many[:1]) == ()
+    assert choose_joints("d, a", many) == ("d", "a")
+
+
+def test_the_demo_is_lost_by_angle_or_by_overlap():
+    def results(angle, iou):
+        start = [FrameResult(k, {}, PoseErrors(90.0, 0, 0, 0, 0.1)) for k in range(10)]
+        return [*start, *(FrameResult(k, {}, PoseErrors(angle(k), 0, 0, 0, iou)) for k in range(10, 20))]
+
+    assert judge(results(lambda k: 1.0, 0.9)).held
+    assert judge(results(lambda k: 9.0 if k < 12 else 1.0, 0.9)).held
+    assert not judge(results(lambda k: 9.0 if k < 13 else 1.0, 0.9)).held
+    assert not judge(results(lambda k: 1.0, 0.8)).held
