@@ -1,0 +1,74 @@
+"""What the README tells a newcomer to type works, word for word."""
+
+import re
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.cli.demo_service import ServiceProcess
+
+FRAMES = 3
+
+
+@pytest.fixture(scope="module")
+def blocks(root: Path) -> list[tuple[str, str]]:
+    """The README's fenced blocks: language, text."""
+    return re.findall(r"^```(\w+)\n(.*?)^```$", (root / "README.md").read_text(), flags=re.M | re.S)
+
+
+@pytest.fixture(scope="module")
+def port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def folder(root: Path, port: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A checkout's folder as the README sees it, with a service running and a short pass to track."""
+    folder = tmp_path_factory.mktemp("readme")
+    binaries = folder / ".venv" / "bin"
+    binaries.mkdir(parents=True)
+    (binaries / "skypose").symlink_to(Path(sys.executable).parent / "skypose")
+    simulate = ["simulate", "--out", "pass", "--frames", str(FRAMES)]
+    subprocess.run([binaries / "skypose", *simulate], cwd=folder, check=True, capture_output=True, timeout=120)
+    with ServiceProcess("127.0.0.1", port, folder):
+        yield folder
+
+
+def test_names_every_command(blocks: list[tuple[str, str]]) -> None:
+    assert [language for language, _ in blocks] == ["bash", "bash", "python", "bash"]
+    assert blocks[0][1] == ".venv/bin/skypose simulate --out pass\n"
+
+
+@pytest.mark.skipif(shutil.which("jq") is None or shutil.which("curl") is None, reason="curl or jq not installed")
+def test_curl(blocks: list[tuple[str, str]], folder: Path, port: int) -> None:
+    help_text = subprocess.run(["curl", "--help", "http"], capture_output=True, text=True, check=True).stdout
+    if "--json" not in help_text:
+        pytest.skip("this curl is older than 7.82")
+    script = blocks[1][1].replace(":8000", f":{port}")
+    done = subprocess.run(["bash", "-e"], input=script, cwd=folder, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count('"orientation"') == FRAMES
+    assert (folder / "overlay.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_python(blocks: list[tuple[str, str]], folder: Path, port: int) -> None:
+    script = blocks[2][1].replace(":8000", f":{port}")
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-"], input=script, cwd=folder, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == FRAMES
+
+
+def test_offline(blocks: list[tuple[str, str]], folder: Path) -> None:
+    done = subprocess.run(["bash", "-e"], input=blocks[3][1], cwd=folder, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert len((folder / "track" / "estimates.csv").read_text().splitlines()) == FRAMES + 1
+    assert (folder / "track" / "contact_sheet.png").is_file()
