@@ -26,12 +26,14 @@ def demo(
 ) -> None:
     """Track a simulated pass of the bundled satellite over REST and compare each pose with the truth."""
     import shutil
+    import signal
 
     from rich.console import Console
 
     from service.cli.demo_pass import DemoPass
     from service.cli.demo_service import DemoError, ServiceProcess
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended either way, it takes the service along
     console = Console()
     shutil.rmtree(out / "data", ignore_errors=True)  # the previous demo's sessions
     out.mkdir(parents=True, exist_ok=True)
