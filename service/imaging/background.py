@@ -110,7 +110,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     """Mean, noise and p(D|b) of a background.
 
     The mean is the per-pixel median over frames whose own level has been taken out, lightly smoothed while there
-    are few frames; the noise is the median absolute deviation about it, so stars do not count.
+    are few frames; the noise is the deviation about it without outliers, so stars do not count.
     """
     channels = background.shape[2]
     spec = feature_spec(feature, channels, background.bits, gradient_sigma_px)
@@ -121,11 +121,11 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     level = np.median(frames[:, known], axis=1)[:, None, None]
     mean = np.median(frames - level, axis=0)
     residual = frames - level - mean
-    sigma = 1.4826 * np.median(np.abs(residual[:, known]), axis=(0, 1))
+    sigma = _noise(residual[:, known])
     if len(frames) < KEPT_FRAMES:
         smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1)
         residual = frames - level - smooth
-        sigma = 1.4826 * np.median(np.abs(residual[:, known]), axis=(0, 1))
+        sigma = _noise(residual[:, known])
         hot = np.abs(mean - smooth) > 6 * np.maximum(sigma, 0.3)
         mean = np.where(hot, mean, smooth) if len(frames) > 2 else smooth
     mean = mean + np.median(level, axis=0)
@@ -139,10 +139,32 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     )
 
 
+def _noise(residual: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(K, M, C) -> (C,) standard deviation of what lies within four of the robust one.
+
+    The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
+    fifth off at two counts.
+    """
+    robust = 1.4826 * np.median(np.abs(residual), axis=(0, 1))
+    inside = np.abs(residual) <= 4 * np.maximum(robust, 0.5)
+    squares = np.sum(residual.astype(np.float64) ** 2, axis=(0, 1), where=inside)
+    return np.asarray(np.sqrt(squares / np.maximum(1, np.sum(inside, axis=(0, 1)))), dtype=np.float64)
+
+
 def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Low-pass of one channel in which stars do not leak: outliers are replaced by the coarse level first."""
+    """Low-pass of one channel in which stars do not leak: outliers are replaced by the coarse level around them.
+
+    The coarse level is an average without the outliers, which are known only once there is a coarse level: three
+    rounds are enough.
+    """
     sigma = max(2.0, min(mean.shape) / 40)
-    coarse = cv2.GaussianBlur(mean, (0, 0), sigma)
-    deviation = np.abs(mean - coarse)
-    clean = np.where(deviation > 4 * 1.4826 * np.median(deviation) + 1e-6, coarse, mean)
+    overall = float(np.median(mean))
+    sky = np.ones(mean.shape, dtype=np.float32)
+    coarse = mean
+    for _ in range(3):
+        weight = cv2.GaussianBlur(sky, (0, 0), sigma) + 1e-3  # in the midst of a wide outlier: the overall level
+        coarse = (cv2.GaussianBlur(mean * sky, (0, 0), sigma) + 1e-3 * overall) / weight
+        deviation = np.abs(mean - coarse)
+        sky = (deviation <= 4 * 1.4826 * np.median(deviation) + 1e-6).astype(np.float32)
+    clean = np.where(sky > 0, mean, coarse)
     return np.asarray(cv2.GaussianBlur(clean.astype(np.float32), (0, 0), sigma / 2), dtype=np.float32)

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 _PRESMOOTH_PX = 0.6
 _PIXEL_VARIANCE = 0.5  # of the pixel's own box and of the derivative kernel, px^2
+_REACHES_PX = (4, 8, 16)
+_FEWEST_EDGES = 8
 
 
 def estimate_psf_sigma(contrast: NDArray[np.float32]) -> float | None:
@@ -15,19 +17,33 @@ def estimate_psf_sigma(contrast: NDArray[np.float32]) -> float | None:
 
     ``contrast`` (H, W) is the absolute brightness above the sky in units of its noise. A step of height h blurred
     by sigma has slope h / (sqrt(2 pi) sigma); edges within the object are shading, not steps, so only those that
-    fall to the sky count, and of these the sharper quarter.
+    fall to the sky count, and of these the sharper quarter. The height is seen in a window that must hold the whole
+    step: the smallest one that is wide enough for what it finds is believed.
     """
-    z = cv2.GaussianBlur(contrast, (0, 0), _PRESMOOTH_PX)
-    slope = np.hypot(
-        cv2.Sobel(z, cv2.CV_32F, 1, 0, ksize=3, scale=0.125),
-        cv2.Sobel(z, cv2.CV_32F, 0, 1, ksize=3, scale=0.125),
-    )
-    window = np.ones((9, 9), dtype=np.uint8)
+    z = np.asarray(cv2.GaussianBlur(contrast, (0, 0), _PRESMOOTH_PX), dtype=np.float32)
+    dx = cv2.Sobel(z, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
+    dy = cv2.Sobel(z, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
+    slope = np.asarray(np.hypot(dx, dy), dtype=np.float32)
+    crest = (slope >= cv2.dilate(slope, np.ones((5, 5), dtype=np.uint8))) & (slope > 1)
+    if np.count_nonzero(crest) < _FEWEST_EDGES:
+        return None
+    sigma = None
+    for reach in _REACHES_PX:
+        sigma = _sigma_within(z, slope, crest, reach) or sigma
+        if sigma is not None and sigma <= 0.45 * reach:
+            break
+    return sigma
+
+
+def _sigma_within(
+    z: NDArray[np.float32], slope: NDArray[np.float32], crest: NDArray[np.bool_], reach: int
+) -> float | None:
+    """Sigma from the steps seen within ``reach`` px of their crest; None for too few of them."""
+    window = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     low = cv2.erode(z, window)
     height = cv2.dilate(z, window) - low
-    crest = slope >= cv2.dilate(slope, np.ones((5, 5), dtype=np.uint8))
-    edges = crest & (height > 12) & (low < 4) & (slope > 1)
-    if np.count_nonzero(edges) < 8:
+    edges = crest & (height > 12) & (low < 4)
+    if np.count_nonzero(edges) < _FEWEST_EDGES:
         return None
     width = height[edges] / (np.sqrt(2 * np.pi) * slope[edges])
     variance = float(np.percentile(width, 25)) ** 2 - _PRESMOOTH_PX**2 - _PIXEL_VARIANCE
