@@ -75,7 +75,9 @@ class WorkerProcess:
         return await self._in_thread(self._call, method, job)
 
     async def close(self) -> None:
-        """Finish the job in hand, then end the process."""
+        """Finish the job in hand, then end the process. A second call does nothing."""
+        if self._closing:
+            return
         self._closing = True
         await self._in_thread(self._down)
         self._thread.shutdown()
