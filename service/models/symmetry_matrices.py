@@ -1,0 +1,56 @@
+"""The orthogonal matrices worth trying on a body."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from service.inference.state import Array
+
+FOLDS = (2, 4, 3, 6, 8)  # in the order in which they join a symmetry group
+ALIKE_DEG = 10.0  # closer than this, two matrices are two estimates of one symmetry
+_SAME_AXES_DEG = 1.0
+
+
+def body_frames(points: Array) -> list[Array]:
+    """(3, 3) frames, axes in rows: the body's own axes, and the principal axes of its surface points (N, 3)."""
+    _, axes = np.linalg.eigh(np.cov(points.T))
+    same = np.abs(axes).max(axis=0).min() > np.cos(np.deg2rad(_SAME_AXES_DEG))
+    return [np.eye(3)] if same else [np.eye(3), axes.T]
+
+
+def matrices(frame: Array) -> list[Array]:
+    """Mirrors across the frame's planes, half turns, the inversion, and 4-, 3-, 6- and 8-fold turns."""
+    found = [np.eye(3) - 2 * np.outer(axis, axis) for axis in frame]
+    found += [turn(axis, 2) for axis in frame]
+    found.append(-np.eye(3))
+    found += [turn(axis, fold) for fold in FOLDS[1:] for axis in frame]
+    return found
+
+
+def turn(axis: Array, fold: float) -> Array:
+    """(3, 3) rotation by a ``fold``-th of a turn."""
+    matrix = Rotation.from_rotvec(2 * np.pi / fold * np.asarray(axis)).as_matrix()
+    return np.where(np.abs(matrix) < 1e-12, 0.0, matrix)
+
+
+def angle_deg(a: Array, b: Array) -> float:
+    """Angle between two orthogonal matrices of the same determinant; 180 if the determinants differ."""
+    if np.linalg.det(a) * np.linalg.det(b) < 0:
+        return 180.0
+    chord = float(np.linalg.norm(a - b)) / np.sqrt(8.0)
+    return float(np.rad2deg(2 * np.arcsin(min(1.0, chord))))
+
+
+def mirrors_along(axis: Array, points: Array, fold: int) -> list[Array]:
+    """Mirrors whose planes contain an axis about which the points (N, 3) have this rotation symmetry.
+
+    The phase of the moment sum r^m exp(i m angle) with m = ``fold`` tells how the body is turned about the axis;
+    a mirror plane must leave it, so it stands at that phase or half-way to the next.
+    """
+    u, v = np.linalg.svd(axis[None])[2][1:]
+    flat = (points - points.mean(axis=0)) @ np.stack([u, v], axis=1)
+    moment = np.sum((flat[:, 0] + 1j * flat[:, 1]) ** fold)
+    angles = (np.angle(moment) + np.pi * np.arange(2)) / fold
+    normals = [np.cos(a + np.pi / 2) * u + np.sin(a + np.pi / 2) * v for a in angles]
+    return [np.eye(3) - 2 * np.outer(n, n) for n in normals]
