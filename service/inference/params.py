@@ -37,7 +37,7 @@ class FilterParams:
     """Least number of tempering steps with a move in each frame."""
     acquisition_particles: int = 6000
     """Rotations that are tried when nothing is known."""
-    acquisition_moves: int = 12
+    acquisition_moves: int = 4
     """Least number of tempering steps with a move when acquiring."""
 
     def __post_init__(self) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from service.inference.domain import Domain, sample_prior
 from service.inference.estimate import summarise
+from service.inference.islands import pick
 from service.inference.modes import joint_radius
 from service.inference.motion import diffusion, propagate
 from service.inference.params import SessionConfig
@@ -86,7 +87,7 @@ def bootstrap_update(
         before = state.poses[ancestors]
         dt_s = max(frame.time_s - state.time_s, 0.0)
         moved = domain.wrap(propagate(rng, before, diffusion(config.motion, domain) * np.sqrt(dt_s)))
-        poses = where(domain.contains(moved), moved, before)
+        poses = pick(domain.contains(moved), moved, before)
     log_likelihood = score(poses)
     log_weights, total = normalise(config.likelihood.exponent * log_likelihood)
     return Outcome(
@@ -97,15 +98,4 @@ def bootstrap_update(
         status="tracking" if float(np.max(log_likelihood)) > 0 else "no_target",
         log_evidence=total - float(np.log(count)),
         memory={},
-    )
-
-
-def where(condition: NDArray[np.bool_], a: Poses, b: Poses) -> Poses:
-    """Per particle: ``a`` where the condition holds, else ``b``."""
-    c = condition[:, None]
-    return Poses(
-        np.where(c, a.quaternion, b.quaternion),
-        np.where(c, a.position, b.position),
-        np.where(condition, a.log_scale, b.log_scale),
-        np.where(c, a.joints, b.joints),
     )

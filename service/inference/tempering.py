@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from service.inference.islands import pick
 from service.inference.modes import Labels, cluster
 from service.inference.pose import concatenate, local, retract
 from service.inference.resample import RESAMPLERS
@@ -103,18 +104,8 @@ def move(
         log_ratio += log_prediction(population.centre, proposal, plan.deviation)
         log_ratio -= log_prediction(population.centre, poses, plan.deviation)
     accept = np.log(rng.random(n)) < log_ratio
-    pick = [np.where(accept.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in _pairs(proposal, poses)]
     chosen = np.where(accept, log_likelihood, population.log_likelihood)
-    return Population(Poses(*pick), chosen, population.centre, population.rates)
-
-
-def _pairs(a: Poses, b: Poses) -> list[tuple[Array, Array]]:
-    return [
-        (a.quaternion, b.quaternion),
-        (a.position, b.position),
-        (a.log_scale, b.log_scale),
-        (a.joints, b.joints),
-    ]
+    return Population(pick(accept, proposal, poses), chosen, population.centre, population.rates)
 
 
 def log_prediction(centre: Poses, poses: Poses, deviation: Array) -> Array:

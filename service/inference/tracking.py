@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from service.inference.acquisition import Evidence, find_evidence, place
 from service.inference.domain import Domain
+from service.inference.islands import refine, repeat, scatter, strongest
 from service.inference.modes import cluster, distance, joint_radius
 from service.inference.motion import carry_on, diffusion, propagate
 from service.inference.params import SessionConfig
@@ -29,6 +30,9 @@ SETTLING = 2.0  # the prediction is this much wider while the rates are not know
 LEAST_DIFFUSION = 0.15  # of the configured one, when the track has proved to be steady
 FADE = 0.85  # of the running averages, per frame
 SHARPEN_PARTICLES = 100
+SEARCH_STAGES = ((64, 4, 24), (16, 5, 40), (6, 6, 60))  # islands, rounds, draws per round
+IN_PLAY_NATS = 12.0  # a basin whose peak lies further below the best, after the exponent, gets no particles
+CLOUD = 0.25  # of the search's reach: how far a basin's particles are strewn about its peak
 NEWCOMER = 0.1  # prior share of what a renewed search finds beside a track
 
 
@@ -140,15 +144,39 @@ def prediction_deviation(update: Update) -> Array:
 
 
 def search(update: Update, evidence: Evidence) -> tuple[Population, float]:
-    """Rotations and joints over the whole space, placed on the evidence, tempered down."""
+    """The whole space: rotations and joints placed on the evidence, the most promising refined on their own.
+
+    What comes out are the basins whose peaks the frame's likelihood leaves in play, each with its share of the
+    particles, tempered together at last.
+    """
     config, domain = update.config, update.domain
-    poses = place(update.rng, domain, evidence, update.score_maps, config.filter.acquisition_particles)
-    start = Population(poses, update.score(poses), None, np.zeros((len(poses), domain.n_tangent)))
+    radius = joint_radius(domain.articulation)
+    starts = config.filter.acquisition_particles
+    poses = place(update.rng, domain, evidence, update.score_maps, starts)
+    reach = search_reach(domain)
+    islands = scatter(poses, update.score(poses), radius, SEARCH_STAGES[0][0], reach)
+    for count, rounds, draws in SEARCH_STAGES:
+        islands = strongest(islands, radius, count)
+        islands = refine(update.rng, islands, update.score, domain.contains, rounds, draws)
+    exponent = config.likelihood.exponent
+    in_play = np.flatnonzero(exponent * (islands.log_likelihood - islands.log_likelihood.max()) > -IN_PLAY_NATS)
+    share = -(-config.filter.particles // len(in_play))
+    deviation = CLOUD * reach
+    cloud = domain.wrap(propagate(update.rng, repeat(islands[in_play].best, share), deviation))
+    log_likelihood = np.where(domain.contains(cloud), update.score(cloud), -update.light)
+    start = Population(cloud, log_likelihood, None, np.zeros((len(cloud), domain.n_tangent)))
     plan = update.plan(widest_move(domain), config.filter.acquisition_moves)
     population, log_evidence, _ = temper(
         update.rng, start, update.score, domain.contains, plan, config.filter.particles
     )
     return population, log_evidence
+
+
+def search_reach(domain: Domain) -> Array:
+    """(6 + J,) standard deviation with which an island starts: about the distance between placed starts."""
+    least, greatest = domain.joint_bounds
+    side = 0.012 * min(domain.width, domain.height)
+    return np.array([0.12, 0.12, 0.12, side, side, 0.08, *(0.06 * (greatest - least))])
 
 
 def widest_move(domain: Domain) -> Array:
