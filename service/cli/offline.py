@@ -52,7 +52,7 @@ class OfflinePass:
         self._model, self._config = model, config
         self._tracker = Tracker()
         report = self._tracker.prepare_model(ModelJob(model.data, model.file_type, joints))
-        self._articulation = report.articulation
+        self._articulation, self._twins = report.articulation, report.twins
         self._warnings = report.warnings
         self._blobs = {content_key(model.data): model.data}
         self._names = JointNames.of(report.articulation, config)
@@ -128,6 +128,7 @@ class OfflinePass:
                 time_s=time_s,
                 body=image.body,
                 media_type=image.media_type,
+                twins=self._twins,
                 blobs=self._blobs,
             )
         )

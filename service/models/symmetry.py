@@ -8,7 +8,7 @@ small silhouettes nearly the same from every side.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,12 @@ def model_symmetries(mesh: Mesh, articulation: Articulation) -> ModelSymmetries:
         warnings.append("the body has more symmetries than the tracker follows: equal views may be reported once")
     symmetries = with_joint_twins(group, twins.symmetries, articulation.joints)
     return ModelSymmetries(symmetries, twins.periods, tuple(warnings))
+
+
+def with_periods(articulation: Articulation, periods: Sequence[float | None]) -> Articulation:
+    """The articulation with the period of each joint set."""
+    joints = (replace(joint, period=period) for joint, period in zip(articulation.joints, periods, strict=True))
+    return replace(articulation, joints=tuple(joints))
 
 
 def describe_symmetries(symmetries: Sequence[Symmetry], articulation: Articulation) -> list[dict[str, Any]]:

@@ -13,6 +13,7 @@ import orjson
 from pydantic import TypeAdapter
 
 from service.inference.articulation import Articulation, Joint, Stage
+from service.inference.symmetry import Symmetry
 from service.sessions.frame import format_time
 from service.store import models
 from service.store.base import ModelRecord
@@ -21,6 +22,7 @@ from service.workers.base import ModelJob, ModelReport
 from service.workers.engine import Engine
 
 ARTICULATION: TypeAdapter[Articulation] = TypeAdapter(Articulation)
+TWINS: TypeAdapter[tuple[Symmetry, ...]] = TypeAdapter(tuple[Symmetry, ...])
 Document = dict[str, Any]
 
 
@@ -37,6 +39,11 @@ class Upload:
 def articulation_of(model: ModelRecord) -> Articulation:
     """Parts and joints of a stored model."""
     return ARTICULATION.validate_python(model.report["articulation"])
+
+
+def twins_of(model: ModelRecord) -> tuple[Symmetry, ...]:
+    """Symmetries of a stored model; none of one that was stored before they were looked for."""
+    return TWINS.validate_python(model.report.get("twins", ()))
 
 
 class Library:
@@ -124,6 +131,7 @@ def _report(report: ModelReport) -> Document:
         "articulation": ARTICULATION.dump_python(report.articulation, mode="json"),
         "symmetries": [dict(item) for item in report.symmetries],
         "warnings": list(report.warnings),
+        "twins": TWINS.dump_python(report.twins, mode="json"),
     }
 
 

@@ -28,6 +28,7 @@ from service.sessions.frame import (
 )
 from service.sessions.hub import Hub
 from service.sessions.inbox import Inbox
+from service.sessions.library import twins_of
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, ModelRecord, Retention, SessionRecord
 from service.store.database import Database
@@ -66,6 +67,7 @@ class Session:
         self._rooms = rooms
         self._model = model
         self._articulation = articulation
+        self._twins = twins_of(model)
         self._config = config
         self._names = JointNames.of(articulation, config)
         self._state = state
@@ -106,6 +108,7 @@ class Session:
             time_s=time_s,
             body=frame.body,
             media_type=frame.media_type,
+            twins=self._twins,
         )
         return await self._rooms.engine.track(self.record.id, job, self._state, self._blob)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from service.inference.articulation import Articulation
 from service.inference.params import SessionConfig
 from service.inference.state import Estimate, FilterState
+from service.inference.symmetry import Symmetry
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,7 @@ class ModelJob:
 
     data: bytes
     file_type: str  # "glb", "obj", "stl", "ply"
-    joints: tuple[Mapping[str, Any], ...] | None = (
-        None  # contract form, file coordinates; None: from the file
-    )
+    joints: tuple[Mapping[str, Any], ...] | None = None  # contract form, file coordinates; None: from the file
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,9 @@ class ModelReport:
     centre: tuple[float, float, float]
     watertight: bool
     articulation: Articulation
-    symmetries: tuple[Mapping[str, Any], ...] = ()
+    symmetries: tuple[Mapping[str, Any], ...] = ()  # as the API shows them
     warnings: tuple[str, ...] = ()
+    twins: tuple[Symmetry, ...] = ()  # the same, as the filter takes them; joints by position in ``articulation``
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,7 @@ class FrameJob:
     body: bytes
     media_type: str
     blobs: Mapping[str, bytes] = field(default_factory=dict)
+    twins: tuple[Symmetry, ...] = ()  # symmetries of the model, joints by position in ``articulation``
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ from service.inference.params import SessionConfig
 from service.inference.state import Array, Frame, Measurement, PoseEstimate, Poses
 from service.inference.step import step
 from service.models.articulations import read_joints
+from service.models.symmetry import describe_symmetries, model_symmetries, with_periods
 from service.workers.base import (
     BackgroundJob,
     BackgroundReport,
@@ -95,14 +96,17 @@ class Tracker:
         """Load, check and describe a model file."""
         mesh = _load(job.data, job.file_type)
         found = read_joints(job.data, job.file_type, mesh, job.joints)
+        same = model_symmetries(mesh, found.articulation)
         return ModelReport(
             faces=mesh.n_faces,
             vertices=mesh.n_vertices,
             size=mesh.size,
             centre=mesh.centre,
             watertight=mesh.watertight,
-            articulation=found.articulation,
-            warnings=(*mesh.warnings, *found.warnings),
+            articulation=with_periods(found.articulation, same.joint_periods),
+            symmetries=tuple(describe_symmetries(same.symmetries, found.articulation)),
+            warnings=(*mesh.warnings, *found.warnings, *same.warnings),
+            twins=same.symmetries,
         )
 
     def learn_background(self, job: BackgroundJob) -> BackgroundReport:
