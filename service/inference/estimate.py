@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from service.inference.modes import cluster
-from service.inference.pose import conjugate, exp_so3, local, log_so3, multiply, yaw_pitch_roll_deg
-from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses, Spread
+from service.inference.domain import Domain
+from service.inference.modes import cluster, metric_of
+from service.inference.pose import (
+    angle_between,
+    concatenate,
+    conjugate,
+    exp_so3,
+    local,
+    log_so3,
+    multiply,
+    yaw_pitch_roll_deg,
+)
+from service.inference.state import Array, Estimate, Mode, Outcome, PoseEstimate, Poses, Spread
+from service.inference.symmetry import Symmetry, twin
 from service.inference.weights import effective_sample_size
 
 LEFT_OUT = 0.01  # modes that hold less than this share together are not listed
@@ -78,42 +91,42 @@ def report(pose: Poses) -> PoseEstimate:
     return PoseEstimate(q if q[0] >= 0 else -q, pose.position[0], float(np.exp(pose.log_scale[0])), pose.joints[0])
 
 
-def summarise(
-    poses: Poses,
-    log_weights: Array,
-    log_likelihood: Array,
-    *,
-    status: str,
-    log_evidence: float,
-    log_background: float,
-    best: tuple[Poses, float] | None,
-    joint_radius: Array,
-    wrapping: np.ndarray,
-) -> Estimate:
-    """Everything that a frame's answer says of the posterior; ``log_background`` is the constant of Eq. 2."""
-    weights = np.exp(log_weights)
-    mean = mean_pose(poses, weights, wrapping)
+def summarise(outcome: Outcome, log_background: float, twins: Sequence[Symmetry], domain: Domain) -> Estimate:
+    """Everything that a frame's answer says of the posterior.
+
+    ``outcome`` holds one of each set of twins; all of them are reported. ``log_background`` is the constant of
+    Eq. 2, which every log likelihood of the frame shares.
+    """
+    weights = np.exp(outcome.log_weights)
+    wrapping = domain.wrapping
+    everybody = [outcome.poses, *(domain.wrap(twin(outcome.poses, symmetry)) for symmetry in twins)]
+    poses = concatenate(*everybody)
+    shared = np.tile(weights / len(everybody), len(everybody))
+    mean = mean_pose(poses, shared, wrapping)
+    best = outcome.best
     if best is None:
-        top = int(np.argmax(log_likelihood))
-        best = poses[top : top + 1], float(log_likelihood[top])
+        top = int(np.argmax(outcome.log_likelihood))
+        best = outcome.poses[top : top + 1], float(outcome.log_likelihood[top])
     return Estimate(
-        status=status,
+        status=outcome.status,
         mean=report(mean),
         best=report(best[0]),
         best_log_likelihood=best[1] + log_background,
-        spread=spread(poses, weights, mean, wrapping),
-        modes=find_modes(poses, weights, log_likelihood, joint_radius, wrapping),
+        spread=spread(poses, shared, mean, wrapping),
+        modes=find_modes(everybody, weights, outcome.log_likelihood, domain),
         n_particles=len(weights),
-        ess=effective_sample_size(log_weights),
-        log_evidence=log_evidence + log_background,
+        ess=effective_sample_size(outcome.log_weights),
+        log_evidence=outcome.log_evidence + log_background,
     )
 
 
-def find_modes(
-    poses: Poses, weights: Array, log_likelihood: Array, joint_radius: Array, wrapping: np.ndarray
-) -> tuple[Mode, ...]:
-    """Clusters with their weight, mean and spread, heaviest first, until all but ``LEFT_OUT`` is told."""
-    labels = cluster(poses, log_likelihood, joint_radius)
+def find_modes(everybody: Sequence[Poses], weights: Array, log_likelihood: Array, domain: Domain) -> tuple[Mode, ...]:
+    """Clusters with their weight, mean and spread, heaviest first, until all but ``LEFT_OUT`` is told.
+
+    ``everybody`` lists the particles and each set of their twins. Clusters are found once and told once per twin,
+    so twins have equal weights; twins that lie within the cluster's own spread are one mode.
+    """
+    labels = cluster(everybody[0], log_likelihood, metric_of(domain.articulation))
     share = np.bincount(labels, weights=weights)
     modes: list[Mode] = []
     for k in np.argsort(-share):
@@ -121,6 +134,21 @@ def find_modes(
         if modes and sum(m.weight for m in modes) > 1 - LEFT_OUT:
             break
         inner = weights[members] / share[k]
-        mean = mean_pose(poses[members], inner, wrapping)
-        modes.append(Mode(float(share[k]), report(mean), spread(poses[members], inner, mean, wrapping)))
-    return tuple(modes)
+        modes.extend(_twin_modes([poses[members] for poses in everybody], inner, float(share[k]), domain))
+    return tuple(sorted(modes, key=lambda mode: -mode.weight))
+
+
+def _twin_modes(everybody: Sequence[Poses], weights: Array, share: float, domain: Domain) -> list[Mode]:
+    found: list[tuple[Poses, Spread, float]] = []
+    for poses in everybody:
+        mean = mean_pose(poses, weights, domain.wrapping)
+        width = spread(poses, weights, mean, domain.wrapping)
+        for i, (other, _, weight) in enumerate(found):
+            apart = np.rad2deg(float(angle_between(mean.quaternion, other.quaternion)[0]))
+            joints_agree = np.all(np.abs(tangent(other, mean, domain.wrapping)[0, 6:]) <= 2 * width.joints + 1e-9)
+            if apart < max(1e-6, 2 * width.orientation_deg) and joints_agree:
+                found[i] = (other, found[i][1], weight + share / len(everybody))
+                break
+        else:
+            found.append((mean, width, share / len(everybody)))
+    return [Mode(weight, report(mean), width) for mean, width, weight in found]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.inference.modes import distance
+from service.inference.modes import Metric, distance
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
 
@@ -39,7 +39,7 @@ class Islands:
         return Islands(self.best[index], self.log_likelihood[index], self.mean[index], self.covariance[index])
 
 
-def scatter(poses: Poses, log_likelihood: Array, joint_radius: Array, count: int, deviation: Array) -> Islands:
+def scatter(poses: Poses, log_likelihood: Array, metric: Metric, count: int, deviation: Array) -> Islands:
     """Open at most ``count`` islands at the best poses that are at least one cluster radius apart."""
     order = np.argsort(-log_likelihood)[: 40 * count]
     ranked = poses[order]
@@ -48,7 +48,7 @@ def scatter(poses: Poses, log_likelihood: Array, joint_radius: Array, count: int
     while len(chosen) < count and free.any():
         k = int(np.argmax(free))
         chosen.append(k)
-        free &= distance(ranked, ranked[k : k + 1], joint_radius) > 1.0
+        free &= distance(ranked, ranked[k : k + 1], metric) > 1.0
     picked = order[np.array(chosen, dtype=np.intp)]
     seeds = poses[picked]
     return Islands(seeds, log_likelihood[picked], seeds, np.tile(np.diag(deviation**2), (len(picked), 1, 1)))
@@ -103,12 +103,12 @@ def pick(condition: NDArray[np.bool_], a: Poses, b: Poses) -> Poses:
     )
 
 
-def strongest(islands: Islands, joint_radius: Array, count: int) -> Islands:
+def strongest(islands: Islands, metric: Metric, count: int) -> Islands:
     """The ``count`` best islands, one per basin: those that have run into a better one are left out."""
     order = np.argsort(-islands.log_likelihood)
     kept: list[int] = []
     for k in order:
-        near = kept and np.min(distance(islands.best[np.array(kept)], islands.best[k : k + 1], joint_radius)) < 0.3
+        near = kept and np.min(distance(islands.best[np.array(kept)], islands.best[k : k + 1], metric)) < 0.3
         if not near:
             kept.append(int(k))
         if len(kept) == count:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,26 +19,36 @@ JOINT_RADIUS_SHARE = 0.15  # the same for a prismatic joint, of its range
 MAX_CLUSTERS = 32
 
 
-def joint_radius(articulation: Articulation) -> Array:
-    """(J,) how far two joint values of one mode may be apart."""
-    return np.array(
-        [
-            JOINT_RADIUS_DEG if joint.kind == "revolute" else JOINT_RADIUS_SHARE * (joint.maximum - joint.minimum)
-            for joint in articulation.joints
-        ]
-    )
+@dataclass(frozen=True)
+class Metric:
+    """How far two joint values of one mode may be apart, and after what they repeat."""
+
+    joint_radius: Array  # (J,) degrees or model units
+    joint_turn: Array  # (J,) 360 for joints that turn all the way round, else infinite
 
 
-def distance(poses: Poses, seed: Poses, joint_radius: Array) -> Array:
+def metric_of(articulation: Articulation) -> Metric:
+    """The metric of a model's joints."""
+    radius, turn = [], []
+    for joint in articulation.joints:
+        span = joint.maximum - joint.minimum
+        revolute = joint.kind == "revolute"
+        radius.append(JOINT_RADIUS_DEG if revolute else JOINT_RADIUS_SHARE * span)
+        turn.append(360.0 if revolute and span >= 360 else np.inf)
+    return Metric(np.array(radius), np.array(turn))
+
+
+def distance(poses: Poses, seed: Poses, metric: Metric) -> Array:
     """(N,) distance of poses from one pose, in cluster radii: rotation and joints, the slow directions."""
     angle = np.rad2deg(angle_between(poses.quaternion, seed.quaternion)) / CLUSTER_RADIUS_DEG
     if poses.joints.shape[1] == 0:
         return angle
-    gap = np.abs(poses.joints - seed.joints) / joint_radius
-    return np.asarray(np.maximum(angle, np.max(gap, axis=1)))
+    gap = np.abs(poses.joints - seed.joints)
+    gap = np.minimum(gap, np.abs(metric.joint_turn - gap))
+    return np.asarray(np.maximum(angle, np.max(gap / metric.joint_radius, axis=1)))
 
 
-def cluster(poses: Poses, priority: Array, joint_radius: Array) -> Labels:
+def cluster(poses: Poses, priority: Array, metric: Metric) -> Labels:
     """Label each pose by the cluster it belongs to, 0 for the one around the pose of highest priority.
 
     Greedy: the best pose not yet taken opens a cluster and takes all within one radius; each pose then joins the
@@ -50,7 +62,7 @@ def cluster(poses: Poses, priority: Array, joint_radius: Array) -> Labels:
         if not np.any(open_):
             break
         seed = int(np.argmax(np.where(open_, priority, -np.inf)))
-        gap = distance(poses, poses[seed : seed + 1], joint_radius)
+        gap = distance(poses, poses[seed : seed + 1], metric)
         closer = gap < nearest
         labels[closer] = k
         nearest[closer] = gap[closer]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,11 @@ from numpy.typing import NDArray
 from service.inference.domain import Domain, sample_prior
 from service.inference.estimate import summarise
 from service.inference.islands import pick
-from service.inference.modes import joint_radius
 from service.inference.motion import diffusion, propagate
 from service.inference.params import SessionConfig
 from service.inference.resample import RESAMPLERS
 from service.inference.state import Array, Estimate, FilterState, Frame, Outcome, Poses
+from service.inference.symmetry import Symmetry, fold, unfold
 from service.inference.tracking import tempered_update
 from service.inference.weights import normalise
 
@@ -28,8 +29,9 @@ def step(
     score_maps: ScoreMaps,
     config: SessionConfig,
     domain: Domain,
+    twins: Sequence[Symmetry] = (),
 ) -> tuple[FilterState, Estimate]:
-    """Update ``state`` (None before the first frame) by one frame.
+    """Update ``state`` (None before the first frame) by one frame; ``twins`` are the body's symmetries.
 
     ``score_maps(poses, maps)`` sums each of (K, H, W) maps under each silhouette: (N, K), the per-particle term of
     Eq. 4 when the map is log c.
@@ -40,30 +42,28 @@ def step(
         return score_maps(poses, log_ratio)[:, 0]
 
     if config.filter.method == "bootstrap":
-        outcome = bootstrap_update(rng, state, frame, score, config, domain)
+        outcome, twins = bootstrap_update(rng, state, frame, score, config, domain), ()
     else:
-        outcome = tempered_update(rng, state, frame, score_maps, config, domain)
-    estimate = summarise(
-        outcome.poses,
-        outcome.log_weights,
-        outcome.log_likelihood,
-        log_background=frame.measurement.log_background,
-        status=outcome.status,
-        log_evidence=outcome.log_evidence,
-        best=outcome.best,
-        joint_radius=joint_radius(domain.articulation),
-        wrapping=domain.wrapping,
-    )
-    new_state = FilterState(
-        outcome.poses,
-        outcome.log_weights,
-        outcome.rates,
-        frame.index,
-        frame.time_s,
-        outcome.status,
-        outcome.memory,
-    )
+        outcome = tempered_update(rng, one_of_twins(state, twins, domain), frame, score_maps, config, domain, twins)
+    estimate = summarise(outcome, frame.measurement.log_background, twins, domain)
+    poses, rates = unfold(outcome.poses, outcome.rates, twins, domain)
+    anchor = np.concatenate([estimate.best.quaternion, estimate.best.joints])
+    memory = {**outcome.memory, "anchor": anchor}
+    new_state = FilterState(poses, outcome.log_weights, rates, frame.index, frame.time_s, outcome.status, memory)
     return new_state, estimate
+
+
+def one_of_twins(state: FilterState | None, twins: Sequence[Symmetry], domain: Domain) -> FilterState | None:
+    """The state with every particle replaced by its twin nearest to the last best pose.
+
+    No silhouette tells twins apart, so one of them is tracked; all are stored and reported.
+    """
+    if state is None or not twins:
+        return state
+    anchor = np.asarray(state.memory["anchor"], dtype=np.float64)
+    at = Poses(anchor[None, :4], np.zeros((1, 2)), np.zeros(1), anchor[None, 4:])
+    poses, rates = fold(state.poses, state.rates, twins, domain, at)
+    return replace(state, poses=poses, rates=rates)
 
 
 def bootstrap_update(

@@ -7,10 +7,14 @@ too: a panel mirrored with its body turns the other way, a flat panel looks the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from service.inference.domain import Domain
+from service.inference.islands import pick
+from service.inference.modes import distance, metric_of
 from service.inference.pose import from_matrices, rotation_matrices
 from service.inference.state import Array, Poses
 
@@ -58,3 +62,27 @@ def twin_rates(rates: Array, symmetry: Symmetry) -> Array:
     if rates.shape[1] > 6:
         out[:, 6:] = rates[:, 6:] * np.asarray(symmetry.joint_sign)
     return out
+
+
+def fold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain, anchor: Poses) -> tuple[Poses, Array]:
+    """Replace each pose by that twin of it which is nearest to ``anchor`` (a batch of one), rates with it."""
+    metric = metric_of(domain.articulation)
+    nearest = distance(poses, anchor, metric)
+    for symmetry in twins:
+        other = domain.wrap(twin(poses, symmetry))
+        gap = distance(other, anchor, metric)
+        closer = gap < nearest
+        poses, nearest = pick(closer, other, poses), np.where(closer, gap, nearest)
+        rates = np.where(closer[:, None], twin_rates(rates, symmetry), rates)
+    return poses, rates
+
+
+def unfold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain) -> tuple[Poses, Array]:
+    """Spread the particles evenly over all twins, in turn: no twin can die out by chance."""
+    turn = np.arange(len(poses)) % (len(twins) + 1)
+    for k, symmetry in enumerate(twins, start=1):
+        poses, rates = (
+            pick(turn == k, domain.wrap(twin(poses, symmetry)), poses),
+            np.where((turn == k)[:, None], twin_rates(rates, symmetry), rates),
+        )
+    return poses, rates

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from service.inference.islands import pick
-from service.inference.modes import Labels, cluster
+from service.inference.modes import Labels, Metric, cluster
 from service.inference.pose import concatenate, local, retract
 from service.inference.resample import RESAMPLERS
 from service.inference.state import Array, Poses
@@ -56,7 +56,7 @@ class Tempering:
     moves: int  # least number of steps
     resampler: str
     deviation: Array  # (6 + J,) of the prediction; also the greatest standard deviation of a move
-    joint_radius: Array  # (J,)
+    metric: Metric
 
 
 def temper(
@@ -93,7 +93,7 @@ def move(
     """One Metropolis step for every particle; leaves prior x L^beta unchanged."""
     poses = population.poses
     n, d = len(poses), len(plan.deviation)
-    labels = cluster(poses, population.log_likelihood, plan.joint_radius)
+    labels = cluster(poses, population.log_likelihood, plan.metric)
     factors = cluster_factors(poses, labels, plan.deviation)
     stride = 2.38 / np.sqrt(d) * np.exp(0.7 * rng.standard_normal((n, 1)) - 0.5)
     z = rng.standard_normal((n, d)) * stride

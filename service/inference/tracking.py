@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from service.inference.acquisition import Evidence, find_evidence, place
 from service.inference.domain import Domain
 from service.inference.islands import refine, repeat, scatter, strongest
-from service.inference.modes import cluster, distance, joint_radius
+from service.inference.modes import cluster, distance, metric_of
 from service.inference.motion import carry_on, diffusion, propagate
 from service.inference.params import SessionConfig
 from service.inference.pose import local
 from service.inference.resample import RESAMPLERS
 from service.inference.state import Array, FilterState, Frame, Outcome, Poses
+from service.inference.symmetry import Symmetry, fold
 from service.inference.tempering import Population, Tempering, join, temper
 
 ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
@@ -25,7 +26,7 @@ ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
 ESTABLISHED_FRAMES = 3  # frames of support in a row before a track is called one
 SUPPORT_FLOOR = 0.3  # share of the frame's light that the best silhouette must explain
 SUPPORT_DROP = 0.6  # of the track's own usual support; below it the whole space is searched again
-RATE_GAIN = 0.4
+RATE_GAIN = 0.35  # of the innovation that the frame's own weight has left
 SETTLING = 2.0  # the prediction is this much wider while the rates are not known yet
 LEAST_DIFFUSION = 0.15  # of the configured one, when the track has proved to be steady
 FADE = 0.85  # of the running averages, per frame
@@ -46,6 +47,7 @@ class Update:
     score_maps: ScoreMaps
     config: SessionConfig
     domain: Domain
+    twins: Sequence[Symmetry]
 
     @cached_property
     def maps(self) -> NDArray[np.float32]:
@@ -75,9 +77,9 @@ class Update:
     def plan(self, deviation: Array, moves: int) -> Tempering:
         """How to approach this frame's likelihood."""
         chosen = self.config.filter
-        radius = joint_radius(self.domain.articulation)
+        metric = metric_of(self.domain.articulation)
         exponent = self.config.likelihood.exponent
-        return Tempering(exponent, chosen.target_ess, moves, chosen.resampler, deviation, radius)
+        return Tempering(exponent, chosen.target_ess, moves, chosen.resampler, deviation, metric)
 
 
 def tempered_update(
@@ -87,6 +89,7 @@ def tempered_update(
     score_maps: ScoreMaps,
     config: SessionConfig,
     domain: Domain,
+    twins: Sequence[Symmetry] = (),
 ) -> Outcome:
     """One frame of the default filter.
 
@@ -94,7 +97,7 @@ def tempered_update(
     established, or where the image does not support it any more; what the search finds stands beside the track
     with the weight that the likelihoods give it.
     """
-    update = Update(rng, state, frame, score_maps, config, domain)
+    update = Update(rng, state, frame, score_maps, config, domain, twins)
     evidence = find_evidence(frame.measurement.log_ratio)
     if evidence is None:
         return unseen(update)
@@ -130,17 +133,17 @@ def follow(update: Update) -> tuple[Population, float]:
 
 
 def prediction_deviation(update: Update) -> Array:
-    """(6 + J,) standard deviation of this frame's prediction: wide at first, then as the innovations have been."""
+    """(6 + J,) standard deviation of this frame's prediction.
+
+    Wide while the rates are not known. Then as wide as the population itself, so that prediction and frame weigh
+    about the same and a wrong rate cannot hold the track, and at least as the innovations have been.
+    """
     widest = diffusion(update.config.motion, update.domain) * np.sqrt(update.dt_s)
-    if update.recall("age", 0.0) < ESTABLISHED_FRAMES:
+    if update.state is None or update.recall("age", 0.0) < ESTABLISHED_FRAMES:
         return np.asarray(SETTLING * widest, dtype=np.float64)
-    innovation = 2.0 * np.sqrt(update.recall("innovation", widest**2))
-    bounded = np.clip(
-        innovation * np.sqrt(update.dt_s / update.recall("dt_s", update.dt_s)),
-        LEAST_DIFFUSION * widest,
-        SETTLING * widest,
-    )
-    return np.asarray(bounded, dtype=np.float64)
+    stretch = np.sqrt(update.dt_s / update.recall("dt_s", update.dt_s))
+    deviation = np.maximum(update.recall("deviation", widest), 2.0 * np.sqrt(update.recall("innovation", 0.0)))
+    return np.asarray(np.clip(stretch * deviation, LEAST_DIFFUSION * widest, SETTLING * widest), dtype=np.float64)
 
 
 def search(update: Update, evidence: Evidence) -> tuple[Population, float]:
@@ -150,14 +153,19 @@ def search(update: Update, evidence: Evidence) -> tuple[Population, float]:
     particles, tempered together at last.
     """
     config, domain = update.config, update.domain
-    radius = joint_radius(domain.articulation)
+    metric = metric_of(domain.articulation)
     starts = config.filter.acquisition_particles
     poses = place(update.rng, domain, evidence, update.score_maps, starts)
     reach = search_reach(domain)
-    islands = scatter(poses, update.score(poses), radius, SEARCH_STAGES[0][0], reach)
+    islands = scatter(poses, update.score(poses), metric, SEARCH_STAGES[0][0], reach)
     for count, rounds, draws in SEARCH_STAGES:
-        islands = strongest(islands, radius, count)
+        islands = strongest(islands, metric, count)
         islands = refine(update.rng, islands, update.score, domain.contains, rounds, draws)
+    top = int(np.argmax(islands.log_likelihood))
+    one, _ = fold(
+        islands.best, np.zeros((len(islands), domain.n_tangent)), update.twins, domain, islands.best[top : top + 1]
+    )
+    islands = strongest(replace(islands, best=one), metric, len(islands))
     exponent = config.likelihood.exponent
     in_play = np.flatnonzero(exponent * (islands.log_likelihood - islands.log_likelihood.max()) > -IN_PLAY_NATS)
     share = -(-config.filter.particles // len(in_play))
@@ -201,10 +209,12 @@ def side_by_side(
     update: Update, tracked: tuple[Population, float], searched: tuple[Population, float]
 ) -> tuple[Population, float]:
     """The track, and what a search has found elsewhere, weighted by the likelihoods of their best silhouettes."""
-    old, new = tracked[0], searched[0]
-    radius = joint_radius(update.domain.articulation)
+    old = tracked[0]
     top = int(np.argmax(old.log_likelihood))
-    elsewhere = np.flatnonzero(distance(new.poses, old.poses[top : top + 1], radius) > 1.0)
+    best = old.poses[top : top + 1]
+    poses, rates = fold(searched[0].poses, searched[0].rates, update.twins, update.domain, best)
+    new = replace(searched[0], poses=poses, rates=rates)
+    elsewhere = np.flatnonzero(distance(new.poses, best, metric_of(update.domain.articulation)) > 1.0)
     if len(elsewhere) == 0:
         return tracked
     exponent = update.config.likelihood.exponent
@@ -224,9 +234,9 @@ def side_by_side(
 
 def sharpen(update: Update, population: Population, deviation: Array) -> tuple[Poses, float]:
     """The pose of highest likelihood near the best particle: a small population tempered on to the full exponent."""
-    radius = joint_radius(update.domain.articulation)
+    metric = metric_of(update.domain.articulation)
     top = int(np.argmax(population.log_likelihood))
-    near = np.flatnonzero(distance(population.poses, population.poses[top : top + 1], radius) <= 1.0)
+    near = np.flatnonzero(distance(population.poses, population.poses[top : top + 1], metric) <= 1.0)
     few = near[np.argsort(-population.log_likelihood[near])[:SHARPEN_PARTICLES]]
     start = replace(population[few], centre=None)
     plan = replace(update.plan(deviation, 3), exponent=1.0, start=update.config.likelihood.exponent)
@@ -267,17 +277,20 @@ def conclude(update: Update, population: Population, log_evidence: float) -> Out
     memory = {} if update.state is None else dict(update.state.memory)
     if population.centre is not None:
         innovation = local(population.centre, population.poses)
-        labels = cluster(poses, population.log_likelihood, joint_radius(update.domain.articulation))
+        labels = cluster(poses, population.log_likelihood, metric_of(update.domain.articulation))
         counts = np.maximum(np.bincount(labels), 1)
         means = (
             np.stack([np.bincount(labels, innovation[:, i]) for i in range(innovation.shape[1])], 1) / counts[:, None]
         )
         age = float(update.recall("age", 0.0))
-        gain = max(RATE_GAIN, 1.0 / max(age, 1.0))
+        frames = age + 1.0
+        gain = max(RATE_GAIN, 6.0 / (frames * (frames + 1.0)))  # that of a straight line through ``frames`` points
         rates = rates + gain * means[labels] / update.dt_s
         fade = FADE if age >= ESTABLISHED_FRAMES else 0.0
         memory["innovation"] = fade * update.recall("innovation", means[0] ** 2) + (1 - fade) * means[0] ** 2
         memory["dt_s"] = np.array(update.dt_s)
+        top = labels == 0
+        memory["deviation"] = np.std(local(poses[top][:1], poses[top]), axis=0)
     fit = support(update, population)
     usual = float(update.recall("support", fit))
     lost = fit < SUPPORT_FLOOR

@@ -35,6 +35,7 @@ from service.inference.state import Array, Frame, Measurement, PoseEstimate, Pos
 from service.inference.step import step
 from service.models.articulations import read_joints
 from service.models.symmetry import describe_symmetries, model_symmetries, with_periods
+from service.models.symmetry_group import held_symmetries
 from service.workers.base import (
     BackgroundJob,
     BackgroundReport,
@@ -152,6 +153,7 @@ class Tracker:
             timed,
             job.config,
             Domain(width, height, mesh.radius, articulation, job.config.prior),
+            held_symmetries(job.twins, job.articulation, articulation),
         )
         best = estimate.best
         kept = remember(
