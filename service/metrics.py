@@ -44,9 +44,7 @@ class Metrics:
             buckets=(0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0),
             registry=self.registry,
         )
-        self.evictions = Counter(
-            "skypose_evictions_total", "Idle sessions that left memory", registry=self.registry
-        )
+        self.evictions = Counter("skypose_evictions_total", "Idle sessions that left memory", registry=self.registry)
         self.resident_sessions = self._gauge("skypose_resident_sessions", "Sessions in memory")
         self.waiting_frames = self._gauge("skypose_waiting_frames", "Frames waiting or under way")
         self.waiting_bytes = self._gauge("skypose_waiting_bytes", "Bytes of those frames")

@@ -146,3 +146,9 @@ def summary(state: FilterState) -> Estimate:
     ess = float(1 / np.sum(weights**2))
     mode = Mode(1.0, pose, spread)
     return Estimate(state.status, pose, pose, -1.0, spread, (mode,), len(weights), ess, -float(state.time_s))
+
+
+class VerySlowWorker(FakeWorker):
+    """Takes long enough for a stop in the middle of a frame."""
+
+    delay_s = 3.0

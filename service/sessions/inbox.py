@@ -44,9 +44,7 @@ class Inbox:
         self._items: asyncio.Queue[_Item | None] = asyncio.Queue()
         self._in_hand = False
         self._closing = False
-        self._task = asyncio.create_task(
-            self._run(), name=f"session {name}", context=contextvars.Context()
-        )
+        self._task = asyncio.create_task(self._run(), name=f"session {name}", context=contextvars.Context())
 
     @property
     def idle(self) -> bool:

@@ -49,9 +49,7 @@ class Database:
         """Lock the directory, open the file, bring its schema up to date."""
         await asyncio.get_running_loop().run_in_executor(self._write_thread, self._open)
 
-    async def write(
-        self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs
-    ) -> R:
+    async def write(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
         """Run ``function(connection, ...)`` in the writing thread as one transaction.
 
         Raises ``StorageError`` where the database refuses; nothing of the transaction is then stored.
@@ -63,9 +61,7 @@ class Database:
 
         return await self._run(self._write_thread, transaction)
 
-    async def read(
-        self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs
-    ) -> R:
+    async def read(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
         """Run ``function(connection, ...)`` in a reading thread, on one snapshot."""
         assert self._reader is not None, "open() comes first"
         reader = self._reader

@@ -112,9 +112,7 @@ def body(connection: Connection, session_id: str, index: int) -> tuple[bytes, st
     if media_type is None:
         session_queries.get(connection, session_id)
         raise NotFoundError(f"no frame {index}", field="index")
-    query = select(frame_bodies.c.body).where(
-        frame_bodies.c.session_id == session_id, frame_bodies.c.idx == index
-    )
+    query = select(frame_bodies.c.body).where(frame_bodies.c.session_id == session_id, frame_bodies.c.idx == index)
     data: bytes | None = connection.execute(query).scalar()
     if data is None:
         raise GoneError(

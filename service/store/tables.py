@@ -25,9 +25,7 @@ metadata = MetaData(
 
 
 def _of_session() -> Column[str]:
-    return Column(
-        "session_id", String, ForeignKey("sessions.id", ondelete="CASCADE"), primary_key=True, nullable=False
-    )
+    return Column("session_id", String, ForeignKey("sessions.id", ondelete="CASCADE"), primary_key=True, nullable=False)
 
 
 blobs = Table(

@@ -59,9 +59,7 @@ def _read_header(blob: bytes) -> tuple[dict[str, Any], int]:
     if magic != _MAGIC:
         raise CheckpointError("does not begin with the format's mark")
     if version != FORMAT_VERSION:
-        raise CheckpointError(
-            f"format version {version}; this release reads {FORMAT_VERSION}", format_version=version
-        )
+        raise CheckpointError(f"format version {version}; this release reads {FORMAT_VERSION}", format_version=version)
     if zlib.crc32(memoryview(blob)[:-4]) != struct.unpack("<I", blob[-4:])[0]:
         raise CheckpointError("damaged: the checksum does not match")
     try:

@@ -74,9 +74,7 @@ def _models_and_sessions() -> None:
 def _of_session(table: str, *columns: sa.Column[object], key: str, unique: bool = False) -> None:
     constraints: list[sa.Constraint] = [
         sa.PrimaryKeyConstraint("session_id", key, name=f"pk_{table}"),
-        sa.ForeignKeyConstraint(
-            ["session_id"], ["sessions.id"], name=f"fk_{table}_session_id", ondelete="CASCADE"
-        ),
+        sa.ForeignKeyConstraint(["session_id"], ["sessions.id"], name=f"fk_{table}_session_id", ondelete="CASCADE"),
     ]
     if unique:
         name = f"uq_{table}_session_id_idempotency_key"
