@@ -45,7 +45,7 @@ class Submissions:
             await answer
         except SkyposeError as error:
             self._fail(place, error)
-        except Exception as error:  # logged by the session; the client gets the general answer
+        except Exception as error:  # noqa: BLE001 -- logged by the session; the client gets the general answer
             self._fail(place, SkyposeError(f"unexpected error: {type(error).__name__}"))
 
     def _fail(self, place: tuple[str, str], error: SkyposeError) -> None:

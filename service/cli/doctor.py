@@ -22,7 +22,7 @@ def doctor(
     try:
         report["worker"] = _describe()
         report["ok"] = True
-    except Exception as error:  # whatever stops the worker is the diagnosis
+    except Exception as error:  # noqa: BLE001 -- whatever stops the worker is the diagnosis
         report["error"] = f"{type(error).__name__}: {error}"
         report["ok"] = False
     if as_json:

@@ -77,7 +77,7 @@ def _answer(worker: Worker, message: bytes) -> tuple[Outcome, Any]:
         return "refused", error
     except MemoryError:
         return "broken", traceback.format_exc()
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 -- the parent hears of it, whatever it is
         lost_device = type(error).__module__.partition(".")[0] == "pyopencl"
         return "broken" if lost_device else "bug", traceback.format_exc()
 
