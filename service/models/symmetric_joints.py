@@ -18,7 +18,7 @@ from service.models.symmetry_matrices import ALIKE_DEG, FOLDS
 from service.models.symmetry_trials import JOINT_OVERLAP, Trials
 
 _SURE_OVERLAP = 0.985  # no need to try the other sign
-_LEAST_REACH = 0.05
+_LEAST_REACH = 0.98  # a twin that lies outside the joint's range is no pose of the body
 _QUERY_POINTS = 250
 _TREE_POINTS = 2500
 

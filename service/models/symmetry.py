@@ -72,7 +72,7 @@ def model_symmetries(mesh: Mesh, articulation: Articulation) -> ModelSymmetries:
     bodies = _with_joints(trials, matches)
     group = _verified_group(trials, bodies)
     warnings = [*twins.warnings, *(_round_warning(axis) for axis in round_axes)]
-    if not all(contains(group, symmetry, articulation.joints) for symmetry in bodies):
+    if not round_axes and not all(contains(group, symmetry, articulation.joints) for symmetry in bodies):
         warnings.append("the body has more symmetries than the tracker follows: equal views may be reported once")
     symmetries = with_joint_twins(group, twins.symmetries, articulation.joints)
     return ModelSymmetries(symmetries, twins.periods, tuple(warnings))
@@ -106,7 +106,7 @@ def _matches(trials: Trials) -> tuple[list[_Match], list[Array]]:
     points = np.vstack(trials.points)
     matches: list[_Match] = []
     round_axes: list[Array] = []
-    for frame in body_frames(points):
+    for frame in body_frames(_triangles(trials.mesh)):
         for matrix in matrices(frame):
             _try(trials, matrix, whole, matches)
         for axis in frame:
@@ -121,6 +121,10 @@ def _matches(trials: Trials) -> tuple[list[_Match], list[Array]]:
                             _try(trials, matrix, whole, matches)
     kept = [m for m in matches if not any(_is_fine_turn(m.matrix, axis) for axis in round_axes)]
     return kept, round_axes
+
+
+def _triangles(mesh: Mesh) -> Array:
+    return np.concatenate([part.vertices[part.faces] for part in mesh.parts])
 
 
 def _try(trials: Trials, matrix: Array, parts: tuple[int, ...], matches: list[_Match]) -> None:
@@ -142,7 +146,7 @@ def _with_joints(trials: Trials, matches: Sequence[_Match]) -> list[Symmetry]:
         if symmetry is not None:
             found.append(symmetry)
     if trials.articulation.n_joints:
-        for frame in body_frames(np.vstack(trials.points)):
+        for frame in body_frames(_triangles(trials.mesh)):
             for matrix in matrices(frame):
                 if any(angle_deg(np.asarray(s.matrix), matrix) < ALIKE_DEG for s in found):
                     continue
@@ -175,7 +179,7 @@ def _is_mirror_along(matrix: Array, axis: Array) -> bool:
 
 
 def _is_fine_turn(matrix: Array, axis: Array) -> bool:
-    """A turn about the axis by less than a quarter, or a third: of a continuum, quarters are enough."""
+    """A turn about the axis by no whole number of quarters: of a continuum, quarters are enough."""
     turned = np.linalg.det(matrix) > 0 and np.allclose(matrix @ axis, axis, atol=0.1)
     return bool(turned and min(angle_deg(matrix, turn(axis, fold)) for fold in (2, 4, -4)) > ALIKE_DEG)
 

@@ -54,22 +54,22 @@ def compose(second: Symmetry, first: Symmetry, joints: Sequence[Joint]) -> Symme
     return make_symmetry(matrix @ np.asarray(first.matrix), matrix @ np.asarray(first.offset) + offset, signs, shifts)
 
 
-def alike(a: Symmetry, b: Symmetry, joints: Sequence[Joint]) -> bool:
-    """Whether two symmetries are one, within what a silhouette can tell. Compares no offsets."""
-    return (
-        angle_deg(np.asarray(a.matrix), np.asarray(b.matrix)) < ALIKE_DEG
-        and a.joint_sign == b.joint_sign
-        and all(same_value(j, x, y) for j, x, y in zip(joints, a.joint_shift, b.joint_shift, strict=True))
-    )
+def implied(element: Symmetry, other: Symmetry, joints: Sequence[Joint]) -> bool:
+    """Whether ``other`` says all that ``element`` says, within what a silhouette can tell. Compares no offsets."""
+    for j, joint in enumerate(joints):
+        sign, shift = element.joint_sign[j], element.joint_shift[j]
+        there = other.joint_sign[j] * shift + other.joint_shift[j] if sign == 0 else other.joint_shift[j]
+        if (sign != 0 and other.joint_sign[j] != sign) or not same_value(joint, there, shift):
+            return False
+    return angle_deg(np.asarray(element.matrix), np.asarray(other.matrix)) < ALIKE_DEG
 
 
 def same_value(joint: Joint, a: float, b: float) -> bool:
     """Whether two values of a joint are one, whole turns apart or not."""
     gap = a - b
     if joint.kind == "revolute":
-        gap -= FULL_TURN_DEG * np.round(gap / FULL_TURN_DEG)
-        return bool(abs(gap) <= _ALIKE_SHARE * FULL_TURN_DEG)
-    return bool(abs(gap) <= _ALIKE_SHARE * max(joint.maximum - joint.minimum, 1e-9))
+        return abs(gap - FULL_TURN_DEG * round(gap / FULL_TURN_DEG)) <= _ALIKE_SHARE * FULL_TURN_DEG
+    return abs(gap) <= _ALIKE_SHARE * max(joint.maximum - joint.minimum, 1e-9)
 
 
 def reachable(joint: Joint, sign: float, shift: float) -> float:
@@ -100,9 +100,8 @@ def close_group(
     """
     group = [identity(len(joints))]
     for generator in generators:
-        if not contains(group, generator, joints):
-            larger = _extended(group, generator, joints, limit)
-            group = group if larger is None else larger
+        larger = _extended(group, generator, joints, limit)
+        group = group if larger is None else larger
     return tuple(group[1:])
 
 
@@ -113,16 +112,22 @@ def with_joint_twins(
 
     Otherwise the joints' own are listed one by one, because none of them may be lost to the limit.
     """
-    together = close_group([*bodies, *twins], joints)
-    if all(contains(together, symmetry, joints) for symmetry in (*bodies, *twins)):
-        return together
-    return (*close_group(bodies, joints), *twins)
+    alone = close_group(bodies, joints)
+    together = [identity(len(joints)), *alone]
+    for twin in twins:
+        larger = _extended(together, twin, joints, MAX_ELEMENTS)
+        if larger is None:
+            return (*alone, *twins)
+        together = larger
+    return tuple(together[1:])
 
 
 def _extended(
     group: Sequence[Symmetry], generator: Symmetry, joints: Sequence[Joint], limit: int
 ) -> list[Symmetry] | None:
     """The closure of ``group`` and one more element, or None if it has more than ``limit``."""
+    if contains(group, generator, joints):
+        return [*group]
     closed = [*group, generator]
     done = 0
     while done < len(closed):
@@ -139,7 +144,7 @@ def _extended(
 
 def contains(group: Sequence[Symmetry], element: Symmetry, joints: Sequence[Joint]) -> bool:
     """Whether an element is in a group, within what a silhouette can tell."""
-    return any(alike(element, other, joints) for other in group)
+    return any(implied(element, other, joints) for other in group)
 
 
 def held_symmetries(
@@ -169,6 +174,6 @@ def held_symmetries(
                 )
             )
     joints = [articulation.joints[j] for j in free]
-    found = [s for s in found if not alike(s, identity(len(free)), joints)]
+    found = [s for s in found if not implied(s, identity(len(free)), joints)]
     bodies = [s for s in found if s.kind != "joint"]
     return with_joint_twins(bodies, [s for s in found if s.kind == "joint"], joints)

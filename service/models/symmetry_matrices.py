@@ -12,9 +12,16 @@ ALIKE_DEG = 10.0  # closer than this, two matrices are two estimates of one symm
 _SAME_AXES_DEG = 1.0
 
 
-def body_frames(points: Array) -> list[Array]:
-    """(3, 3) frames, axes in rows: the body's own axes, and the principal axes of its surface points (N, 3)."""
-    _, axes = np.linalg.eigh(np.cov(points.T))
+def body_frames(triangles: Array) -> list[Array]:
+    """(3, 3) frames, axes in rows: the body's own axes, and the principal axes of its surface (F, 3 corners, 3).
+
+    The second moment of a triangle of area A with corners v is A / 12 (sum v v^T + (sum v)(sum v)^T).
+    """
+    area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    corners = triangles - np.average(triangles.mean(axis=1), axis=0, weights=area)
+    sums = corners.sum(axis=1)
+    moment = np.einsum("f,fki,fkj->ij", area, corners, corners) + np.einsum("f,fi,fj->ij", area, sums, sums)
+    _, axes = np.linalg.eigh(moment)
     same = np.abs(axes).max(axis=0).min() > np.cos(np.deg2rad(_SAME_AXES_DEG))
     return [np.eye(3)] if same else [np.eye(3), axes.T]
 
