@@ -33,6 +33,7 @@ from service.inference.domain import Domain
 from service.inference.params import SessionConfig
 from service.inference.state import Array, Frame, Measurement, PoseEstimate, Poses
 from service.inference.step import step
+from service.inference.symmetry import Symmetry
 from service.models.articulations import read_joints
 from service.models.symmetry import describe_symmetries, model_symmetries, with_periods
 from service.models.symmetry_group import held_symmetries
@@ -92,6 +93,7 @@ class Tracker:
         self._meshes: Cache[Mesh] = Cache(cached_models)
         self._scorers: Cache[Scorer] = Cache(cached_models, lambda scorer: scorer.close())
         self._skies: Cache[Sky] = Cache(cached_models)
+        self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
 
     def prepare_model(self, job: ModelJob) -> ModelReport:
         """Load, check and describe a model file."""
@@ -153,7 +155,9 @@ class Tracker:
             timed,
             job.config,
             Domain(width, height, mesh.radius, articulation, job.config.prior),
-            held_symmetries(job.twins, job.articulation, articulation),
+            self._twins.get(
+                f"{job.model}:{articulation}", lambda: held_symmetries(job.twins, job.articulation, articulation)
+            ),
         )
         best = estimate.best
         kept = remember(
@@ -196,6 +200,7 @@ class Tracker:
         self._scorers.clear()
         self._meshes.clear()
         self._skies.clear()
+        self._twins.clear()
 
     def _mesh(self, key: str, file_type: str, blobs: Mapping[str, bytes]) -> Mesh:
         return self._meshes.get(key, lambda: _load(_blob(blobs, key), file_type))
