@@ -56,7 +56,9 @@ def draw_joints(rng: np.random.Generator, domain: Domain, count: int) -> Array:
     """(N, J) joints over their ranges: a Kronecker sequence shifted at random, low discrepancy."""
     n = domain.articulation.n_joints
     least, greatest = domain.joint_bounds
-    root = 1.2207440846 if n == 2 else 1.6180339887
+    root = 2.0
+    for _ in range(50):  # of x^(n + 1) = x + 1: golden for one joint, plastic for two, and so on
+        root = (1.0 + root) ** (1.0 / (n + 1))
     steps = np.mod(root ** -np.arange(1.0, n + 1), 1.0)
     unit = np.mod(rng.random(n) + np.arange(count)[:, None] * steps, 1.0)
     return least + unit[rng.permutation(count)] * (greatest - least)
