@@ -101,22 +101,29 @@ class MotionParams:
     __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
 
     kind: Literal["jitter", "constant_velocity"] = "constant_velocity"
-    """`jitter`: a random step (the paper). `constant_velocity`: the rates are estimated and carried on."""
-    rotation_deg: float = 6.0
+    """`jitter`: a random step (the paper). `constant_velocity`: each particle carries the rates that its own path
+    implies."""
+    rotation_deg: float = 1.5
     """Rotation, about each axis."""
-    position: float = 0.02
+    position: float = 0.03
     """Position, as a share of the image's shorter side."""
-    log_scale: float = 0.03
+    log_scale: float = 0.01
     """Scale, as a relative change."""
-    joint_deg: float = 10.0
+    joint_deg: float = 3.0
     """Revolute joints."""
-    joint_units: float = 0.05
+    joint_range: float = 0.02
     """Prismatic joints, as a share of their range."""
+    rate_spread: float = 10.0
+    """`constant_velocity`: standard deviation of a rate that nothing is known of, per second, as a multiple of the
+    jitter above (10: 15 degrees per second)."""
+    rate_change: float = 2.0
+    """`constant_velocity`: by how much a rate may change within a second, as a multiple of the jitter above."""
     frame_interval_s: float = 0.1
     """Assumed between frames that bring no time."""
 
     def __post_init__(self) -> None:
-        for name in ("rotation_deg", "position", "log_scale", "joint_deg", "joint_units", "frame_interval_s"):
+        names = ("rotation_deg", "position", "log_scale", "joint_deg", "joint_range", "rate_spread", "rate_change")
+        for name in (*names, "frame_interval_s"):
             _require(0 < getattr(self, name) <= 1e4, f"{name} must lie in (0, 10000]")
 
 
@@ -167,7 +174,7 @@ _PAPER: Mapping[str, Mapping[str, Any]] = {
         "resampler": "multinomial",
     },
     "likelihood": {"kind": "histogram", "exponent": 1.0},
-    "motion": {"kind": "jitter"},
+    "motion": {"kind": "jitter", "rotation_deg": 6.0, "position": 0.03, "log_scale": 0.03, "joint_deg": 10.0},
 }
 
 

@@ -15,7 +15,7 @@ from service.inference.motion import diffusion, propagate
 from service.inference.params import SessionConfig
 from service.inference.resample import RESAMPLERS
 from service.inference.state import Array, Estimate, FilterState, Frame, Outcome, Poses
-from service.inference.symmetry import Symmetry, fold, unfold
+from service.inference.symmetry import Symmetry, refold, unfold
 from service.inference.tracking import tempered_update
 from service.inference.weights import normalise
 
@@ -47,22 +47,20 @@ def step(
         outcome = tempered_update(rng, one_of_twins(state, twins, domain), frame, score_maps, config, domain, twins)
     estimate = summarise(outcome, frame.measurement.log_background, twins, domain)
     poses, rates = unfold(outcome.poses, outcome.rates, twins, domain)
-    anchor = np.concatenate([estimate.best.quaternion, estimate.best.joints])
-    memory = {**outcome.memory, "anchor": anchor}
-    new_state = FilterState(poses, outcome.log_weights, rates, frame.index, frame.time_s, outcome.status, memory)
+    new_state = FilterState(
+        poses, outcome.log_weights, rates, frame.index, frame.time_s, outcome.status, outcome.memory
+    )
     return new_state, estimate
 
 
 def one_of_twins(state: FilterState | None, twins: Sequence[Symmetry], domain: Domain) -> FilterState | None:
-    """The state with every particle replaced by its twin nearest to the last best pose.
+    """The state with every particle on one side of the twins.
 
     No silhouette tells twins apart, so one of them is tracked; all are stored and reported.
     """
     if state is None or not twins:
         return state
-    anchor = np.asarray(state.memory["anchor"], dtype=np.float64)
-    at = Poses(anchor[None, :4], np.zeros((1, 2)), np.zeros(1), anchor[None, 4:])
-    poses, rates = fold(state.poses, state.rates, twins, domain, at)
+    poses, rates = refold(state.poses, state.rates, twins, domain)
     return replace(state, poses=poses, rates=rates)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.domain import Domain
 from service.inference.islands import pick
@@ -81,8 +82,29 @@ def unfold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain
     """Spread the particles evenly over all twins, in turn: no twin can die out by chance."""
     turn = np.arange(len(poses)) % (len(twins) + 1)
     for k, symmetry in enumerate(twins, start=1):
-        poses, rates = (
-            pick(turn == k, domain.wrap(twin(poses, symmetry)), poses),
-            np.where((turn == k)[:, None], twin_rates(rates, symmetry), rates),
-        )
+        poses, rates = _where_turn(turn == k, poses, rates, symmetry, domain)
     return poses, rates
+
+
+def refold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain) -> tuple[Poses, Array]:
+    """Undo ``unfold``: by each particle's turn, not by what is near, so that a body may turn through a twin."""
+    turn = np.arange(len(poses)) % (len(twins) + 1)
+    for k, symmetry in enumerate(twins, start=1):
+        poses, rates = _where_turn(turn == k, poses, rates, inverse(symmetry), domain)
+    return poses, rates
+
+
+def inverse(symmetry: Symmetry) -> Symmetry:
+    """The symmetry that undoes ``symmetry``."""
+    m = np.asarray(symmetry.matrix)
+    back = -m.T @ np.asarray(symmetry.offset)
+    shift = tuple(-s * t for s, t in zip(symmetry.joint_sign, symmetry.joint_shift, strict=True))
+    rows = tuple((float(r[0]), float(r[1]), float(r[2])) for r in m.T)
+    return Symmetry(rows, (float(back[0]), float(back[1]), float(back[2])), symmetry.joint_sign, shift)
+
+
+def _where_turn(
+    chosen: NDArray[np.bool_], poses: Poses, rates: Array, symmetry: Symmetry, domain: Domain
+) -> tuple[Poses, Array]:
+    moved = pick(chosen, domain.wrap(twin(poses, symmetry)), poses)
+    return moved, np.where(chosen[:, None], twin_rates(rates, symmetry), rates)

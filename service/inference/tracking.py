@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from service.inference.acquisition import Evidence, find_evidence, place
 from service.inference.domain import Domain
 from service.inference.islands import refine, repeat, scatter, strongest
-from service.inference.modes import cluster, distance, metric_of
-from service.inference.motion import carry_on, diffusion, propagate
+from service.inference.modes import distance, metric_of
+from service.inference.motion import RateFilter, carry_on, propagate, rate_filter
 from service.inference.params import SessionConfig
 from service.inference.pose import local
 from service.inference.resample import RESAMPLERS
@@ -26,9 +26,7 @@ ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
 ESTABLISHED_FRAMES = 3  # frames of support in a row before a track is called one
 SUPPORT_FLOOR = 0.3  # share of the frame's light that the best silhouette must explain
 SUPPORT_DROP = 0.6  # of the track's own usual support; below it the whole space is searched again
-RATE_GAIN = 0.35  # of the innovation that the frame's own weight has left
-SETTLING = 2.0  # the prediction is this much wider while the rates are not known yet
-LEAST_DIFFUSION = 0.15  # of the configured one, when the track has proved to be steady
+MOST_SURPRISE = 3.0
 FADE = 0.85  # of the running averages, per frame
 SHARPEN_PARTICLES = 100
 SEARCH_STAGES = ((64, 4, 24), (16, 5, 40), (6, 6, 60))  # islands, rounds, draws per round
@@ -74,6 +72,19 @@ class Update:
             return np.asarray(otherwise, dtype=np.float64)
         return np.asarray(self.state.memory[name], dtype=np.float64)
 
+    @cached_property
+    def rate_filter(self) -> RateFilter:
+        """What earlier frames tell of the rates."""
+        known = None
+        if self.state is not None and "rate_variance" in self.state.memory:
+            known = self.recall("rate_variance", 0.0)
+        return rate_filter(self.config.motion, self.domain, known)
+
+    @property
+    def surprise(self) -> float:
+        """How much further than predicted the poses have been lately, 1 or more: the prediction widens with it."""
+        return float(np.clip(np.sqrt(self.recall("surprise", 1.0)), 1.0, MOST_SURPRISE))
+
     def plan(self, deviation: Array, moves: int) -> Tempering:
         """How to approach this frame's likelihood."""
         chosen = self.config.filter
@@ -117,12 +128,10 @@ def follow(update: Update) -> tuple[Population, float]:
     state, config, domain = update.state, update.config, update.domain
     assert state is not None, "there is a track to follow"
     ancestors = RESAMPLERS[config.filter.resampler](update.rng, state.log_weights, config.filter.particles)
-    before, rates = state.poses[ancestors], state.rates[ancestors]
-    if config.motion.kind == "jitter":
-        rates = np.zeros_like(rates)
-    centre = domain.wrap(carry_on(before, rates, update.dt_s))
-    deviation = prediction_deviation(update)
-    poses = domain.wrap(propagate(update.rng, centre, deviation))
+    rates = state.rates[ancestors]
+    centre = domain.wrap(carry_on(state.poses[ancestors], rates, update.dt_s))
+    deviation = np.sqrt(update.rate_filter.prediction_variance(update.dt_s)) * update.surprise
+    poses = propagate(update.rng, centre, deviation)  # joints stay in the chart of their prediction
     log_likelihood = np.where(domain.contains(poses), update.score(poses), -update.light)
     population = Population(poses, log_likelihood, centre, rates)
     plan = update.plan(deviation, config.filter.moves)
@@ -130,20 +139,6 @@ def follow(update: Update) -> tuple[Population, float]:
         update.rng, population, update.score, domain.contains, plan, config.filter.particles
     )
     return population, log_evidence
-
-
-def prediction_deviation(update: Update) -> Array:
-    """(6 + J,) standard deviation of this frame's prediction.
-
-    Wide while the rates are not known. Then as wide as the population itself, so that prediction and frame weigh
-    about the same and a wrong rate cannot hold the track, and at least as the innovations have been.
-    """
-    widest = diffusion(update.config.motion, update.domain) * np.sqrt(update.dt_s)
-    if update.state is None or update.recall("age", 0.0) < ESTABLISHED_FRAMES:
-        return np.asarray(SETTLING * widest, dtype=np.float64)
-    stretch = np.sqrt(update.dt_s / update.recall("dt_s", update.dt_s))
-    deviation = np.maximum(update.recall("deviation", widest), 2.0 * np.sqrt(update.recall("innovation", 0.0)))
-    return np.asarray(np.clip(stretch * deviation, LEAST_DIFFUSION * widest, SETTLING * widest), dtype=np.float64)
 
 
 def search(update: Update, evidence: Evidence) -> tuple[Population, float]:
@@ -232,6 +227,15 @@ def side_by_side(
     return both[pick], tracked[1]
 
 
+def surprise(update: Update, shift: Array) -> float:
+    """Mean square shift of the whole population from its predictions, in units of the predicted variance.
+
+    A quarter of it is to be expected, since the frame's own weight decides only in part.
+    """
+    variance = update.rate_filter.prediction_variance(update.dt_s)
+    return 4.0 * float(np.mean(np.mean(shift, axis=0)[:3] ** 2 / variance[:3]))
+
+
 def sharpen(update: Update, population: Population, deviation: Array) -> tuple[Poses, float]:
     """The pose of highest likelihood near the best particle: a small population tempered on to the full exponent."""
     metric = metric_of(update.domain.articulation)
@@ -250,9 +254,9 @@ def unseen(update: Update) -> Outcome:
     state, domain, config = update.state, update.domain, update.config
     count = config.filter.particles
     if state is not None and update.recall("age", 0.0) > 0:
-        rates = state.rates if config.motion.kind != "jitter" else np.zeros_like(state.rates)
+        rates = state.rates
         centre = domain.wrap(carry_on(state.poses, rates, update.dt_s))
-        moved = propagate(update.rng, centre, prediction_deviation(update))
+        moved = propagate(update.rng, centre, np.sqrt(update.rate_filter.prediction_variance(update.dt_s)))
         poses = Poses(
             moved.quaternion,
             np.clip(moved.position, 0, (domain.width, domain.height)),
@@ -276,21 +280,13 @@ def conclude(update: Update, population: Population, log_evidence: float) -> Out
     poses, rates = update.domain.wrap(population.poses), population.rates
     memory = {} if update.state is None else dict(update.state.memory)
     if population.centre is not None:
-        innovation = local(population.centre, population.poses)
-        labels = cluster(poses, population.log_likelihood, metric_of(update.domain.articulation))
-        counts = np.maximum(np.bincount(labels), 1)
-        means = (
-            np.stack([np.bincount(labels, innovation[:, i]) for i in range(innovation.shape[1])], 1) / counts[:, None]
-        )
-        age = float(update.recall("age", 0.0))
-        frames = age + 1.0
-        gain = max(RATE_GAIN, 6.0 / (frames * (frames + 1.0)))  # that of a straight line through ``frames`` points
-        rates = rates + gain * means[labels] / update.dt_s
-        fade = FADE if age >= ESTABLISHED_FRAMES else 0.0
-        memory["innovation"] = fade * update.recall("innovation", means[0] ** 2) + (1 - fade) * means[0] ** 2
-        memory["dt_s"] = np.array(update.dt_s)
-        top = labels == 0
-        memory["deviation"] = np.std(local(poses[top][:1], poses[top]), axis=0)
+        shift = local(population.centre, population.poses)
+        rates, learned = update.rate_filter.update(rates, shift, update.dt_s)
+        memory["rate_variance"] = learned.variance
+        memory["surprise"] = np.array(FADE * update.recall("surprise", 1.0) + (1 - FADE) * surprise(update, shift))
+    else:
+        memory.pop("rate_variance", None)
+        memory.pop("surprise", None)
     fit = support(update, population)
     usual = float(update.recall("support", fit))
     lost = fit < SUPPORT_FLOOR
