@@ -15,7 +15,7 @@ from fastapi import FastAPI
 from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 
-from service.api import estimates, frames, health, models, problems, sessions, stream
+from service.api import checkpoint, estimates, frames, health, models, problems, sessions, stream
 from service.api.bodies import BodyLimits
 from service.api.observe import Observe
 from service.api.services import Services
@@ -23,6 +23,7 @@ from service.api.submissions import Submissions
 from service.metrics import Metrics
 from service.sessions.admission import Admission
 from service.sessions.archive import Archive
+from service.sessions.checkpoint import Checkpoints
 from service.sessions.hub import Hub
 from service.sessions.library import Library
 from service.sessions.registry import Registry
@@ -55,7 +56,7 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     )
     app.state.services = services
     problems.install(app)
-    for room in (models, sessions, frames, estimates, stream, health):
+    for room in (models, sessions, frames, estimates, checkpoint, stream, health):
         app.include_router(room.router)
     app.add_middleware(BodyLimits, settings=settings)
     app.add_middleware(Observe)
@@ -78,14 +79,17 @@ def _build(settings: Settings, engine: Engine, database: Database) -> Services:
         max_watchers=settings.max_streams,
     )
     retention = Retention(settings.keep_frame_bodies, settings.keep_particle_sets, settings.keep_particle_every)
+    library = Library(database, engine)
     rooms = Rooms(engine, database, hub, metrics, retention, settings.session_inbox_frames)
+    registry = Registry(rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions)
     return Services(
         settings=settings,
         metrics=metrics,
         hub=hub,
-        registry=Registry(rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions),
-        library=Library(database, engine),
+        registry=registry,
+        library=library,
         archive=Archive(database, engine),
+        checkpoints=Checkpoints(database, registry, library),
         status=Status(database, engine),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),
         submissions=Submissions(),

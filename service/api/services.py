@@ -13,6 +13,7 @@ from service.api.submissions import Submissions
 from service.metrics import Metrics
 from service.sessions.admission import Admission
 from service.sessions.archive import Archive
+from service.sessions.checkpoint import Checkpoints
 from service.sessions.hub import Hub
 from service.sessions.library import Library
 from service.sessions.registry import Registry
@@ -30,6 +31,7 @@ class Services:
     registry: Registry
     library: Library
     archive: Archive
+    checkpoints: Checkpoints
     status: Status
     admission: Admission
     submissions: Submissions

@@ -76,6 +76,14 @@ class Hub:
             channel.newest = seq
             channel.grow()
 
+    def advance(self, session_id: str, newest: int) -> None:
+        """Tell the watchers that the log has grown in the database."""
+        channel = self._channels.get(session_id)
+        if channel is not None:
+            channel.ring.clear()
+            channel.newest = newest
+            channel.grow()
+
     def end(self, session_id: str, reason: str) -> None:
         """Send a session's watchers home."""
         channel = self._channels.get(session_id)

@@ -17,8 +17,9 @@ from service.sessions.archive import session_document
 from service.sessions.frame import format_time
 from service.sessions.library import articulation_of
 from service.sessions.session import Rooms, Session
-from service.store import models, sessions
+from service.store import checkpoints, models, sessions
 from service.store.base import SessionRecord
+from service.store.checkpoints import StoredSession
 
 log = structlog.get_logger(__name__)
 
@@ -84,6 +85,16 @@ class Registry:
                 await owner.inbox.close()
             await self._rooms.database.write(sessions.remove, session_id)
         self._rooms.hub.end(session_id, "deleted")
+
+    async def take_in(self, given: StoredSession) -> bool:
+        """Store a session that comes from elsewhere. Returns whether it is new here; raises ``ConflictError``."""
+        async with self._restoring:
+            owner = self._resident.pop(given.record.id, None)
+            if owner is not None:
+                await owner.inbox.close()
+            new = await self._rooms.database.write(checkpoints.write, given)
+        self._rooms.hub.advance(given.record.id, given.record.next_seq - 1)
+        return new
 
     def evict(self) -> int:
         """Let idle sessions leave memory. Returns how many."""

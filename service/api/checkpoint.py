@@ -1,0 +1,45 @@
+"""Routes of checkpoints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+
+from service.api import schemas
+from service.api.bodies import read_body
+from service.api.paging import problems
+from service.api.services import ServicesDep
+
+router = APIRouter(prefix="/v1/sessions/{session_id}/checkpoint", tags=["sessions"])
+MEDIA_TYPE = "application/vnd.skypose.checkpoint"
+_BODY = {"requestBody": {"required": True, "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}}}
+
+
+@router.get("", response_class=Response, responses={200: {"content": {MEDIA_TYPE: {}}}, **problems(404)})
+async def read_checkpoint(session_id: str, services: ServicesDep) -> Response:
+    """The session as one portable blob: model, configuration, background, particles, all estimates."""
+    blob = await services.checkpoints.get(session_id)
+    name = f'attachment; filename="{session_id}.skypose"'
+    return Response(blob, media_type=MEDIA_TYPE, headers={"Content-Disposition": name})
+
+
+@router.put(
+    "",
+    status_code=201,
+    response_model=schemas.Session,
+    responses={
+        200: {"model": schemas.Session, "description": "An earlier stand of it was here"},
+        **problems(409, 413, 422, 503),
+    },
+    openapi_extra=_BODY,
+)
+async def write_checkpoint(
+    session_id: str, request: Request, response: Response, services: ServicesDep
+) -> dict[str, Any]:
+    """Take a session in from another server; it goes on here with the next frame."""
+    body, _ = await read_body(request)
+    session, new = await services.checkpoints.put(session_id, body)
+    response.status_code = 201 if new else 200
+    response.headers["Location"] = f"/v1/sessions/{session_id}"
+    return session

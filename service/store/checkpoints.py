@@ -1,0 +1,103 @@
+"""A whole session read out, and put back in another database."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sqlalchemy import Connection, Table, delete, insert, select
+
+from service.errors import ConflictError
+from service.store import models, sessions
+from service.store.base import ModelRecord, SessionRecord
+from service.store.tables import backgrounds, estimates, events, frames, particles
+from service.store.tables import sessions as sessions_table
+
+Rows = Sequence[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class StoredSession:
+    """A session with its model, its newest particles and its history (no frame files, no older particles)."""
+
+    record: SessionRecord
+    model: ModelRecord
+    model_file: bytes
+    background: bytes | None
+    state: bytes | None
+    backgrounds: Rows
+    frames: Rows
+    estimates: Rows
+    events: Rows
+
+
+def read(connection: Connection, session_id: str) -> StoredSession:
+    """The session as it stands. Raises ``NotFoundError``."""
+    record = sessions.get(connection, session_id)
+    model = models.get(connection, record.model_id)
+    key = record.background_key
+    return StoredSession(
+        record=record,
+        model=model,
+        model_file=models.get_blob(connection, model.blob_key),
+        background=None if key is None else models.get_blob(connection, key),
+        state=sessions.state(connection, session_id, record.next_index - 1),
+        backgrounds=_rows(connection, backgrounds, session_id),
+        frames=_rows(connection, frames, session_id),
+        estimates=_rows(connection, estimates, session_id),
+        events=_rows(connection, events, session_id),
+    )
+
+
+def write(connection: Connection, given: StoredSession) -> bool:
+    """Put the session in, in place of an earlier stand of the same one. Returns whether it is new here.
+
+    Raises ``ConflictError`` where the stored session is another one or has gone further.
+    """
+    record = given.record
+    old = _earlier(connection, given)
+    models.add(connection, given.model, given.model_file)
+    if given.background is not None and record.background_key is not None:
+        models.put_blob(connection, record.background_key, given.background)
+    if old is not None:
+        connection.execute(delete(sessions_table).where(sessions_table.c.id == record.id))
+        if old.background_key != record.background_key:
+            models.drop_blob_if_unused(connection, old.background_key)
+        record = replace(record, epoch=old.epoch + 1)  # whoever owned it can write no more
+    sessions.add(connection, record)
+    for table, rows in (
+        (backgrounds, given.backgrounds),
+        (frames, given.frames),
+        (estimates, given.estimates),
+        (events, given.events),
+    ):
+        if rows:
+            connection.execute(insert(table), [{**row, "session_id": record.id} for row in rows])
+    if given.state is not None:
+        at = {"session_id": record.id, "idx": record.next_index - 1}
+        connection.execute(insert(particles).values(**at, state=given.state))
+    return old is None
+
+
+def _earlier(connection: Connection, given: StoredSession) -> SessionRecord | None:
+    query = select(sessions_table.c.id).where(sessions_table.c.id == given.record.id)
+    if connection.execute(query).first() is None:
+        return None
+    old = sessions.get(connection, given.record.id)
+    mine = {row["idx"]: row["sha256"] for row in _rows(connection, frames, old.id)}
+    theirs = {row["idx"]: row["sha256"] for row in given.frames}
+    if old.model_id != given.record.model_id or not mine.items() <= theirs.items():
+        raise ConflictError(
+            f"session {old.id} is here with other frames, or further on",
+            field="session_id",
+            frames=old.next_index,
+            frames_in_checkpoint=given.record.next_index,
+        )
+    return old
+
+
+def _rows(connection: Connection, table: Table, session_id: str) -> list[dict[str, Any]]:
+    query = select(table).where(table.c.session_id == session_id).order_by(*table.primary_key.columns)
+    # str(): the mapping has keys of a class of its own, which does not go into JSON.
+    return [{str(name): value for name, value in row._mapping.items()} for row in connection.execute(query)]
