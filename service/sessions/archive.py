@@ -28,37 +28,37 @@ class Archive:
     """The history of all sessions. Everything raises ``NotFoundError`` for what never was."""
 
     def __init__(self, database: Database, engine: Engine) -> None:
-        self._database = database
+        self.database = database
         self._engine = engine
 
     async def session(self, session_id: str) -> dict[str, Any]:
         """One session."""
-        return session_document(await self._database.read(sessions.get, session_id))
+        return session_document(await self.database.read(sessions.get, session_id))
 
     async def sessions(self, after: int, limit: int) -> tuple[list[dict[str, Any]], int | None]:
         """Sessions after a cursor, and the cursor of the next page or None."""
-        found = await self._database.read(sessions.page, after, limit + 1)
+        found = await self.database.read(sessions.page, after, limit + 1)
         following = found[limit - 1].number if len(found) > limit else None
         return [session_document(record) for record in found[:limit]], following
 
     async def estimate(self, session_id: str, index: int | None) -> bytes:
         """The estimate of a frame (None: the newest) as JSON bytes."""
-        return await self._database.read(frames.estimate, session_id, index)
+        return await self.database.read(frames.estimate, session_id, index)
 
     async def estimates(self, session_id: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
         """Estimates after an index, and the index to go on from or None."""
-        found = await self._database.read(frames.estimate_page, session_id, after, limit + 1)
+        found = await self.database.read(frames.estimate_page, session_id, after, limit + 1)
         following = found[limit - 1][0] if len(found) > limit else None
         return [document for _, document in found[:limit]], following
 
     async def by_key(self, session_id: str, key: str) -> bytes | None:
         """The estimate of the frame that was sent with this idempotency key, or None."""
-        _, stored = await self._database.read(frames.find, session_id, index=None, key=key)
+        _, stored = await self.database.read(frames.find, session_id, index=None, key=key)
         return None if stored is None else await self.estimate(session_id, stored.index)
 
     async def overlay(self, session_id: str, index: int) -> bytes:
         """PNG of a frame with its best silhouette. Raises ``GoneError`` where the frame is no longer kept."""
-        body, media_type = await self._database.read(frames.body, session_id, index)
+        body, media_type = await self.database.read(frames.body, session_id, index)
         best = orjson.loads(await self.estimate(session_id, index))["best"]
         model, config = await self._setting(session_id)
         articulation = hold(articulation_of(model), config.joints.free, config.joints.fixed)
@@ -77,7 +77,7 @@ class Archive:
 
     async def particles(self, session_id: str, index: int | None) -> tuple[int, bytes, tuple[str, ...]]:
         """Frame, packed state and joint names of a particle set. Raises ``GoneError`` where it is not kept."""
-        found, packed = await self._database.read(frames.particle_set, session_id, index)
+        found, packed = await self.database.read(frames.particle_set, session_id, index)
         return found, packed, await self.joint_names(session_id)
 
     async def joint_names(self, session_id: str) -> tuple[str, ...]:
@@ -87,16 +87,16 @@ class Archive:
 
     async def require_key(self, session_id: str, key: str) -> None:
         """Say what is missing: the session, or a frame with this key."""
-        await self._database.read(sessions.get, session_id)
+        await self.database.read(sessions.get, session_id)
         raise NotFoundError(f"no frame with key {key!r}", field="key")
 
     async def _setting(self, session_id: str) -> tuple[ModelRecord, SessionConfig]:
-        record = await self._database.read(sessions.get, session_id)
-        model = await self._database.read(models.get, record.model_id)
+        record = await self.database.read(sessions.get, session_id)
+        model = await self.database.read(models.get, record.model_id)
         return model, session_config.parse(orjson.dumps(record.config))
 
     async def _blob(self, key: str) -> bytes:
-        return await self._database.read(models.get_blob, key)
+        return await self.database.read(models.get_blob, key)
 
 
 def particle_arrays(packed: bytes) -> dict[str, Any]:

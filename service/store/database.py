@@ -45,6 +45,12 @@ class Database:
         assert self._writer is not None, "open() comes first"
         return self._writer
 
+    @property
+    def reader(self) -> Engine:
+        """Engine of the reading threads."""
+        assert self._reader is not None, "open() comes first"
+        return self._reader
+
     async def open(self) -> None:
         """Lock the directory, open the file, bring its schema up to date."""
         await asyncio.get_running_loop().run_in_executor(self._write_thread, self._open)
@@ -63,11 +69,9 @@ class Database:
 
     async def read(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
         """Run ``function(connection, ...)`` in a reading thread, on one snapshot."""
-        assert self._reader is not None, "open() comes first"
-        reader = self._reader
 
         def snapshot() -> R:
-            with reader.connect() as connection:
+            with self.reader.connect() as connection:
                 return function(connection, *args, **kwargs)
 
         return await self._run(self._read_threads, snapshot)
