@@ -33,17 +33,19 @@ from service.settings import MEBIBYTE, Settings
 from service.store.base import Retention
 from service.store.database import Database
 from service.workers.engine import Engine, Transport
-from service.workers.process import ProcessTransport
+from service.workers.process import TRACKER, ProcessTransport
 
 log = structlog.get_logger(__name__)
-TRACKER = "service.workers.tracker:Tracker"
 VIEWER = Path(__file__).parent / "viewer"
 HOUSEKEEPING_S = 1.0
 
 
 def create_app(settings: Settings, transport: Transport | None = None) -> FastAPI:
-    """The application. ``transport`` replaces the worker processes, for tests."""
-    engine = Engine(transport or worker_processes(settings, TRACKER))
+    """The application. ``transport`` replaces worker processes with the tracker, started with the application."""
+    engine = Engine(
+        transport
+        or ProcessTransport(TRACKER, settings.workers, settings.worker_timeout_s, settings.worker_start_timeout_s)
+    )
     database = Database(settings.data_dir, settings.reader_threads)
     services = _build(settings, engine, database)
     app = FastAPI(
@@ -62,11 +64,6 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     app.add_middleware(Observe)
     _serve_viewer(app)
     return app
-
-
-def worker_processes(settings: Settings, factory: str) -> ProcessTransport:
-    """Tracking in processes of their own, each with the worker that ``factory`` (module:name) builds."""
-    return ProcessTransport(factory, settings.workers, settings.worker_timeout_s, settings.worker_start_timeout_s)
 
 
 def _build(settings: Settings, engine: Engine, database: Database) -> Services:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    import uvicorn
     from fastapi import FastAPI
 
     from service.settings import Settings
@@ -21,19 +22,31 @@ def serve(
     workers: Annotated[int | None, typer.Option(help="Tracking processes.")] = None,
 ) -> None:
     """Run the service. What is not given comes from SKYPOSE_... or the defaults (docs/settings.md)."""
-    from service.main import create_app
     from service.settings import Settings
 
     given: dict[str, Any] = {"host": host, "port": port, "data_dir": data, "workers": workers}
     settings = Settings(**{name: value for name, value in given.items() if value is not None})
-    run(create_app(settings), settings)
+    run(settings)
 
 
-def run(app: FastAPI, settings: Settings) -> None:
-    """Serve an application until SIGINT or SIGTERM, then finish the frames in hand."""
-    import uvicorn
-
+def run(settings: Settings, worker: str | None = None) -> None:
+    """Serve until SIGINT or SIGTERM, then finish the frames in hand. ``worker`` names another than the tracker."""
     from service.cli import logs
+    from service.workers.process import TRACKER, ProcessTransport
+
+    logs.configure(settings.log_level, settings.log_format)
+    transport = ProcessTransport(
+        worker or TRACKER, settings.workers, settings.worker_timeout_s, settings.worker_start_timeout_s
+    )
+    transport.prestart()  # its imports take as long as ours below: side by side they take half
+    from service.main import create_app
+
+    app = create_app(settings, transport)
+    _server(app, settings).run()
+
+
+def _server(app: FastAPI, settings: Settings) -> uvicorn.Server:
+    import uvicorn
 
     class Server(uvicorn.Server):
         """Sends the watchers home first: uvicorn would wait for their endless answers."""
@@ -46,7 +59,6 @@ def run(app: FastAPI, settings: Settings) -> None:
             app.state.services.hub.stop()
             super().handle_exit(sig, frame)
 
-    logs.configure(settings.log_level, settings.log_format)
     config = uvicorn.Config(
         app,
         host=settings.host,
@@ -57,7 +69,7 @@ def run(app: FastAPI, settings: Settings) -> None:
         timeout_graceful_shutdown=int(settings.shutdown_grace_s) or 1,
         server_header=False,
     )
-    Server(config).run()
+    return Server(config)
 
 
 def settle() -> None:

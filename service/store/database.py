@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import IO, Any, Concatenate, ParamSpec, TypeVar
 
 import structlog
-from alembic import command
-from alembic.config import Config
-from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy import Connection, Engine, create_engine, event, inspect
 from sqlalchemy.exc import DBAPIError
 
 from service.errors import StorageError
@@ -24,6 +22,7 @@ log = structlog.get_logger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 
+NEWEST_REVISION = "0001"
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000")
 
 
@@ -38,6 +37,7 @@ class Database:
         self._writer: Engine | None = None
         self._reader: Engine | None = None
         self._lock: IO[bytes] | None = None
+        self._closed = False
 
     @property
     def writer(self) -> Engine:
@@ -77,7 +77,10 @@ class Database:
         return await self._run(self._read_threads, snapshot)
 
     async def close(self) -> None:
-        """Finish what is under way and let go of the file."""
+        """Finish what is under way and let go of the file. A second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
         await asyncio.get_running_loop().run_in_executor(self._write_thread, self._close)
         self._read_threads.shutdown()
         self._write_thread.shutdown()
@@ -115,11 +118,25 @@ class Database:
 
 
 def migrate(connection: Connection) -> None:
-    """Bring the schema up to date."""
+    """Bring the schema up to date; alembic is only loaded where there is something to do.
+
+    Raises ``StorageError`` for a database of a newer release.
+    """
+    if inspect(connection).has_table("alembic_version"):
+        present = connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar()
+        if present == NEWEST_REVISION:
+            return
+    from alembic import command
+    from alembic.config import Config
+    from alembic.util import CommandError
+
     config = Config()
     config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
     config.attributes["connection"] = connection
-    command.upgrade(config, "head")
+    try:
+        command.upgrade(config, "head")
+    except CommandError as error:
+        raise StorageError(f"the database is not one that this release can open: {error}") from error
 
 
 def _engine(file: Path, connections: int, begin: str) -> Engine:

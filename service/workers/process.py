@@ -22,9 +22,10 @@ from typing import Any
 import structlog
 
 from service.errors import SkyposeError, StoppingError, WorkerFailedError
-from service.workers.host import serve
+from service.workers.child import run
 
 log = structlog.get_logger(__name__)
+TRACKER = "service.workers.tracker:Tracker"
 _CONTEXT = multiprocessing.get_context("spawn")  # fork would copy device contexts and locks
 
 
@@ -64,6 +65,10 @@ class WorkerProcess:
         child = self._child
         return None if child is None else child.process.pid
 
+    def prestart(self) -> None:
+        """Begin to bring the process up, without waiting: ``start`` waits, and says what went wrong."""
+        self._thread.submit(self._up)
+
     async def start(self) -> None:
         """Bring the process up. Raises ``WorkerFailedError`` where it cannot be built."""
         await self._in_thread(self._up)
@@ -101,7 +106,7 @@ class WorkerProcess:
         if self._child is not None:
             return self._child
         here, there = _CONTEXT.Pipe()
-        process = _CONTEXT.Process(target=serve, args=(there, self._factory), name=f"skypose-{self.name}", daemon=True)
+        process = _CONTEXT.Process(target=run, args=(there, self._factory), name=f"skypose-{self.name}", daemon=True)
         process.start()
         there.close()  # so that the end of the process is the end of the pipe
         child = _Child(process, here, Finalize(None, process.kill, exitpriority=10))
@@ -172,6 +177,11 @@ class ProcessTransport:
         self.workers = [WorkerProcess(f"track-{n}", factory, timeout_s, start_timeout_s) for n in range(workers)]
         self.side = WorkerProcess("side", factory, timeout_s, start_timeout_s)
         self._side_start: asyncio.Task[None] | None = None
+
+    def prestart(self) -> None:
+        """Begin to bring the tracking processes up, beside whatever else the program does to start."""
+        for worker in self.workers:
+            worker.prestart()
 
     @property
     def ready(self) -> bool:

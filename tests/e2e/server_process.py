@@ -84,11 +84,9 @@ class Server:
 def main() -> None:
     """The server with the fake worker."""
     from service.cli.serve import run
-    from service.main import create_app, worker_processes
     from service.settings import Settings
 
-    settings = Settings()
-    run(create_app(settings, worker_processes(settings, os.environ["FAKE_WORKER"])), settings)
+    run(Settings(), os.environ["FAKE_WORKER"])
 
 
 if __name__ == "__main__":

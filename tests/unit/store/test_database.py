@@ -5,13 +5,15 @@ import sqlite3
 
 import pytest
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import event, text
 
 from service.errors import StaleOwnerError, StorageError
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, ModelRecord, Retention, SessionRecord
-from service.store.database import Database
+from service.store.database import NEWEST_REVISION, Database
 from service.store.tables import metadata
 
 pytestmark = pytest.mark.anyio
@@ -57,6 +59,30 @@ async def test_migrations_build_the_schema(database):
         return compare_metadata(MigrationContext.configure(connection), metadata)
 
     assert await database.read(differences) == []
+
+
+def test_newest_revision_is_known():
+    config = Config()
+    config.set_main_option("script_location", "service:store/migrations")
+    assert ScriptDirectory.from_config(config).get_current_head() == NEWEST_REVISION
+
+
+async def test_opening_again_changes_nothing(database, tmp_path):
+    await begin(database)
+    await database.close()
+    again = Database(tmp_path, 1)
+    await again.open()
+    assert (await again.read(sessions.get, "s")).id == "s"
+    await again.close()
+
+
+async def test_database_of_a_newer_release_is_refused(database, tmp_path):
+    await database.write(lambda connection: connection.execute(text("UPDATE alembic_version SET version_num='9999'")))
+    await database.close()
+    again = Database(tmp_path, 1)
+    with pytest.raises(StorageError, match="9999"):
+        await again.open()
+    await again.close()
 
 
 async def test_commits_are_durable(database):

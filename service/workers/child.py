@@ -1,0 +1,12 @@
+"""First module of a worker process. Imports next to nothing, so that its parent can start it early."""
+
+from __future__ import annotations
+
+from multiprocessing.connection import Connection
+
+
+def run(channel: Connection, factory: str) -> None:
+    """Body of a worker process: see ``service.workers.host``."""
+    from service.workers.host import serve
+
+    serve(channel, factory)
