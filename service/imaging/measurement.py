@@ -25,6 +25,8 @@ from service.imaging.psf import estimate_psf_sigma
 
 _DEFAULT_PSF_SIGMA_PX = 1.0
 _DETECTION_SIGMA = 4.0  # of smoothed noise: fainter light is no evidence
+_LEVEL_ROUNDS = 8
+_LEVEL_PIXELS = 100  # fewer that look like sky tell nothing of its level
 _FAINT_SIGMA_PX = 2.0
 _FAINT_DETECTION = 3.5
 _FAINT_NATS = 1.5
@@ -91,10 +93,24 @@ def histogram_log_ratio(bins: NDArray[np.intp], sky: Sky) -> NDArray[np.float32]
 
 
 def sky_residual(image: NDArray[np.generic], sky: Sky) -> NDArray[np.float32]:
-    """(H, W, C) frame minus sky, the frame's own change of level taken out (median over the image)."""
+    """(H, W, C) frame minus sky, the frame's own change of level taken out.
+
+    The level is the median of the pixels that look like sky: a large object, or what a wide point spread carries
+    out of it, would lift the median of the whole image.
+    """
     frame = (image[..., None] if image.ndim == 2 else image).astype(np.float32)
     residual = frame - sky.mean
-    return np.asarray(residual - np.median(residual, axis=(0, 1)), dtype=np.float32)
+    level = np.median(residual, axis=(0, 1))
+    for _ in range(_LEVEL_ROUNDS):
+        near = np.all(np.abs(residual - level) < 3 * sky.sigma, axis=2)
+        if np.count_nonzero(near) < _LEVEL_PIXELS:
+            break
+        new = np.median(residual[near], axis=0)
+        settled = bool(np.all(np.abs(new - level) < 0.02 * sky.sigma))
+        level = new
+        if settled:
+            break
+    return np.asarray(residual - level, dtype=np.float32)
 
 
 def contrast(residual: NDArray[np.float32], sky: Sky, smooth_px: float) -> NDArray[np.float32]:

@@ -16,8 +16,8 @@ from service.inference.state import Array, Poses
 class Domain:
     """Bounds of the uniform prior (the paper's section 2).
 
-    The object spans between ``min_extent`` and ``max_extent`` of the image's shorter side, and its centre lies in
-    the image, so that about half of it at least is seen.
+    The body's diameter spans at least ``min_extent`` of the image's shorter side and at most ``max_extent`` of the
+    longer one, and its centre lies in the image, so that about half of it at least is seen.
     """
 
     width: int
@@ -37,7 +37,7 @@ class Domain:
         side = min(self.width, self.height)
         return (
             float(np.log(self.prior.min_extent * side / (2 * self.radius))),
-            float(np.log(self.prior.max_extent * max(self.width, self.height) / (2 * self.radius)) + np.log(1.5)),
+            float(np.log(self.prior.max_extent * max(self.width, self.height) / (2 * self.radius))),
         )
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.domain import Domain
 from service.inference.modes import cluster, metric_of
@@ -40,7 +41,7 @@ def mean_rotation(quaternion: Array, weights: Array) -> Array:
     return mean if mean[0] >= 0 else -mean
 
 
-def mean_pose(poses: Poses, weights: Array, wrapping: np.ndarray) -> Poses:
+def mean_pose(poses: Poses, weights: Array, wrapping: NDArray[np.bool_]) -> Poses:
     """Eq. 5: the expected pose, as a batch of one. Rotations and full-turn joints are averaged on their circles."""
     joints = weights @ poses.joints
     if np.any(wrapping):
@@ -55,7 +56,7 @@ def mean_pose(poses: Poses, weights: Array, wrapping: np.ndarray) -> Poses:
     )
 
 
-def tangent(origin: Poses, poses: Poses, wrapping: np.ndarray) -> Array:
+def tangent(origin: Poses, poses: Poses, wrapping: NDArray[np.bool_]) -> Array:
     """(N, 6 + J) tangent coordinates with joint differences of full-turn joints taken the short way round."""
     x = local(origin, poses)
     if np.any(wrapping):
@@ -63,7 +64,7 @@ def tangent(origin: Poses, poses: Poses, wrapping: np.ndarray) -> Array:
     return x
 
 
-def spread(poses: Poses, weights: Array, mean: Poses, wrapping: np.ndarray) -> Spread:
+def spread(poses: Poses, weights: Array, mean: Poses, wrapping: NDArray[np.bool_]) -> Spread:
     """Weighted second moments about ``mean``."""
     x = tangent(mean, poses, wrapping)
     x[:, :3] = np.rad2deg(x[:, :3])
@@ -102,7 +103,7 @@ def summarise(outcome: Outcome, log_background: float, twins: Sequence[Symmetry]
     everybody = [outcome.poses, *(domain.wrap(twin(outcome.poses, symmetry)) for symmetry in twins)]
     poses = concatenate(*everybody)
     shared = np.tile(weights / len(everybody), len(everybody))
-    mean = mean_pose(poses, shared, wrapping)
+    mean = domain.wrap(mean_pose(poses, shared, wrapping))
     best = outcome.best
     if best is None:
         top = int(np.argmax(outcome.log_likelihood))
@@ -141,7 +142,7 @@ def find_modes(everybody: Sequence[Poses], weights: Array, log_likelihood: Array
 def _twin_modes(everybody: Sequence[Poses], weights: Array, share: float, domain: Domain) -> list[Mode]:
     found: list[tuple[Poses, Spread, float]] = []
     for poses in everybody:
-        mean = mean_pose(poses, weights, domain.wrapping)
+        mean = domain.wrap(mean_pose(poses, weights, domain.wrapping))
         width = spread(poses, weights, mean, domain.wrapping)
         for i, (other, _, weight) in enumerate(found):
             apart = np.rad2deg(float(angle_between(mean.quaternion, other.quaternion)[0]))

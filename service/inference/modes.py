@@ -48,22 +48,39 @@ def distance(poses: Poses, seed: Poses, metric: Metric) -> Array:
     return np.asarray(np.maximum(angle, np.max(gap / metric.joint_radius, axis=1)))
 
 
-def cluster(poses: Poses, priority: Array, metric: Metric) -> Labels:
-    """Label each pose by the cluster it belongs to, 0 for the one around the pose of highest priority.
+def short_way(tangent: Array, metric: Metric) -> Array:
+    """(N, 6 + J) tangent coordinates with the joints that turn all the way round taken the short way."""
+    turning = np.isfinite(metric.joint_turn)
+    if not np.any(turning):
+        return tangent
+    out = tangent.copy()
+    turn = metric.joint_turn[turning]
+    out[:, 6:][:, turning] = np.mod(out[:, 6:][:, turning] + turn / 2, turn) - turn / 2
+    return out
 
-    Greedy: the best pose not yet taken opens a cluster and takes all within one radius; each pose then joins the
-    nearest opening pose. At most ``MAX_CLUSTERS``; what remains joins the nearest.
+
+def cluster(poses: Poses, priority: Array, metric: Metric) -> Labels:
+    """(N,) label of each pose's cluster, 0 for the one around the pose of highest priority (see ``find_seeds``)."""
+    return nearest_seed(poses, find_seeds(poses, priority, metric), metric)
+
+
+def find_seeds(poses: Poses, priority: Array, metric: Metric) -> Poses:
+    """The poses that clusters form around.
+
+    Greedy: the best pose not yet taken opens a cluster and takes all within one radius, at most ``MAX_CLUSTERS``
+    times. Each pose belongs to its nearest seed.
     """
-    n = len(poses)
-    nearest = np.full(n, np.inf)
-    labels = np.zeros(n, dtype=np.intp)
-    for k in range(MAX_CLUSTERS):
-        open_ = nearest > 1.0
-        if not np.any(open_):
-            break
-        seed = int(np.argmax(np.where(open_, priority, -np.inf)))
-        gap = distance(poses, poses[seed : seed + 1], metric)
-        closer = gap < nearest
-        labels[closer] = k
-        nearest[closer] = gap[closer]
-    return labels
+    nearest = np.full(len(poses), np.inf)
+    seeds: list[int] = []
+    while len(seeds) < MAX_CLUSTERS and np.any(nearest > 1.0):
+        seeds.append(int(np.argmax(np.where(nearest > 1.0, priority, -np.inf))))
+        nearest = np.minimum(nearest, distance(poses, poses[seeds[-1] : seeds[-1] + 1], metric))
+    return poses[np.array(seeds, dtype=np.intp)]
+
+
+def nearest_seed(poses: Poses, seeds: Poses, metric: Metric) -> Labels:
+    """(N,) index of the seed that each pose is nearest to."""
+    if len(seeds) == 1:
+        return np.zeros(len(poses), dtype=np.intp)
+    gaps = np.stack([distance(poses, seeds[k : k + 1], metric) for k in range(len(seeds))])
+    return np.asarray(np.argmin(gaps, axis=0), dtype=np.intp)

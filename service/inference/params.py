@@ -33,7 +33,7 @@ class FilterParams:
     """`multinomial` is the paper's Eq. 6."""
     target_ess: float = 0.5
     """Tempering goes on as fast as the effective sample size stays at this share of the particles."""
-    moves: int = 5
+    moves: int = 6
     """Least number of tempering steps with a move in each frame."""
     acquisition_particles: int = 6000
     """Rotations that are tried when nothing is known."""

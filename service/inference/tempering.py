@@ -11,13 +11,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.islands import pick
-from service.inference.modes import Labels, Metric, cluster
+from service.inference.modes import Labels, Metric, find_seeds, nearest_seed, short_way
 from service.inference.pose import concatenate, local, retract
 from service.inference.resample import RESAMPLERS
 from service.inference.state import Array, Poses
-from service.inference.weights import log_sum_exp, next_exponent
+from service.inference.weights import log_sum_exp, next_exponent, normalise
+
+MOST_STEPS = 100
 
 Score = Callable[[Poses], Array]
 
@@ -73,10 +76,13 @@ def temper(
         n = len(population.log_likelihood)
         uniform = np.full(n, -np.log(n))
         new_beta = next_exponent(uniform, population.log_likelihood, beta, plan.exponent, plan.target_ess)
-        log_weights = uniform + (new_beta - beta) * population.log_likelihood
-        log_evidence += log_sum_exp(log_weights)
+        if step >= MOST_STEPS:  # a likelihood without end: better an uneven population than none
+            new_beta = plan.exponent
+        if new_beta > beta or n != count:
+            log_weights = uniform + (new_beta - beta) * population.log_likelihood
+            log_evidence += log_sum_exp(log_weights)
+            population = population[RESAMPLERS[plan.resampler](rng, normalise(log_weights)[0], count)]
         beta = new_beta
-        population = population[RESAMPLERS[plan.resampler](rng, log_weights, count)]
         population = move(rng, population, score, inside, plan, beta)
         step += 1
     return population, log_evidence, step
@@ -90,16 +96,23 @@ def move(
     plan: Tempering,
     beta: float,
 ) -> Population:
-    """One Metropolis step for every particle; leaves prior x L^beta unchanged."""
+    """One Metropolis step for every particle; leaves prior x L^beta unchanged.
+
+    A step has the covariance of the particle's cluster, taken from the half of the population that the particle is
+    not in. A step into another cluster is not made: the way back would have another covariance.
+    """
     poses = population.poses
     n, d = len(poses), len(plan.deviation)
-    labels = cluster(poses, population.log_likelihood, plan.metric)
-    factors = cluster_factors(poses, labels, plan.deviation)
+    seeds = find_seeds(poses, population.log_likelihood, plan.metric)
+    labels = nearest_seed(poses, seeds, plan.metric)
+    half = np.arange(n) % 2
+    factors = [cluster_factors(poses, labels, half != h, len(seeds), plan) for h in (0, 1)]
     stride = 2.38 / np.sqrt(d) * np.exp(0.7 * rng.standard_normal((n, 1)) - 0.5)
     z = rng.standard_normal((n, d)) * stride
-    proposal = retract(poses, np.einsum("nij,nj->ni", factors[labels], z))
-    log_likelihood = np.where(inside(proposal), score(proposal), -np.inf)
-    log_ratio = beta * (log_likelihood - population.log_likelihood)
+    proposal = retract(poses, np.einsum("nij,nj->ni", np.stack(factors)[half, labels], z))
+    allowed = inside(proposal) & (nearest_seed(proposal, seeds, plan.metric) == labels)
+    log_likelihood = np.where(allowed, score(proposal), -np.inf)
+    log_ratio = beta * (log_likelihood - population.log_likelihood) if beta > 0 else np.where(allowed, 0.0, -np.inf)
     if population.centre is not None:
         log_ratio += log_prediction(population.centre, proposal, plan.deviation)
         log_ratio -= log_prediction(population.centre, poses, plan.deviation)
@@ -114,31 +127,29 @@ def log_prediction(centre: Poses, poses: Poses, deviation: Array) -> Array:
     return np.asarray(-0.5 * np.sum(z * z, axis=1))
 
 
-def cluster_factors(poses: Poses, labels: Labels, deviation: Array) -> Array:
-    """(K, d, d) factor A of each cluster's covariance A A^T in tangent coordinates.
+def cluster_factors(
+    poses: Poses, labels: Labels, counted: NDArray[np.bool_], n_clusters: int, plan: Tempering
+) -> Array:
+    """(K, d, d) factor A of each cluster's covariance A A^T in tangent coordinates, from the ``counted`` poses.
 
     A cluster of few particles has no covariance of its own: it is shrunk towards the pooled one.
     """
-    d = len(deviation)
-    n_clusters = int(labels.max()) + 1
-    spreads, counts = [], []
-    for k in range(n_clusters):
-        members = np.flatnonzero(labels == k)
-        counts.append(len(members))
-        spreads.append(_spread_about(poses[members], poses[members[:1]]))
-    pooled = np.einsum("k,kij->ij", np.array(counts, dtype=float), np.array(spreads)) / max(1, sum(counts))
-    factors = np.empty((n_clusters, d, d))
-    floor = np.diag((1e-4 * deviation) ** 2)
-    for k in range(n_clusters):
-        share = counts[k] / (counts[k] + 2.0 * d)
-        covariance = share * spreads[k] + (1 - share) * pooled + floor
-        limit = np.minimum(1.0, deviation / np.sqrt(np.diag(covariance)))
-        factors[k] = np.linalg.cholesky(covariance * np.outer(limit, limit))
-    return factors
+    d = len(plan.deviation)
+    members = [np.flatnonzero(counted & (labels == k)) for k in range(n_clusters)]
+    counts = np.array([len(m) for m in members], dtype=np.float64)
+    spreads = np.stack([_spread(poses[m], plan.metric) for m in members])
+    pooled = np.einsum("k,kij->ij", counts, spreads) / max(1.0, counts.sum())
+    share = (counts / (counts + 2.0 * d))[:, None, None]
+    covariance = share * spreads + (1 - share) * pooled + np.diag((1e-4 * plan.deviation) ** 2)
+    limit = np.minimum(1.0, plan.deviation / np.sqrt(np.einsum("kii->ki", covariance)))
+    return np.linalg.cholesky(covariance * limit[:, :, None] * limit[:, None, :])
 
 
-def _spread_about(poses: Poses, origin: Poses) -> Array:
-    """(d, d) covariance of poses in the tangent space at ``origin``."""
-    x = local(origin, poses)
+def _spread(poses: Poses, metric: Metric) -> Array:
+    """(d, d) covariance of poses in the tangent space at the first of them."""
+    d = 6 + poses.joints.shape[1]
+    if len(poses) < 2:
+        return np.zeros((d, d))
+    x = short_way(local(poses[:1], poses), metric)
     x = x - x.mean(axis=0)
-    return np.asarray(x.T @ x / max(1, len(x) - 1))
+    return np.asarray(x.T @ x / (len(x) - 1))

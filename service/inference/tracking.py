@@ -165,7 +165,7 @@ def search(update: Update, evidence: Evidence) -> tuple[Population, float]:
     in_play = np.flatnonzero(exponent * (islands.log_likelihood - islands.log_likelihood.max()) > -IN_PLAY_NATS)
     share = -(-config.filter.particles // len(in_play))
     deviation = CLOUD * reach
-    cloud = domain.wrap(propagate(update.rng, repeat(islands[in_play].best, share), deviation))
+    cloud = propagate(update.rng, repeat(islands[in_play].best, share), deviation)
     log_likelihood = np.where(domain.contains(cloud), update.score(cloud), -update.light)
     start = Population(cloud, log_likelihood, None, np.zeros((len(cloud), domain.n_tangent)))
     plan = update.plan(widest_move(domain), config.filter.acquisition_moves)

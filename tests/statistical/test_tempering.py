@@ -114,7 +114,7 @@ def test_the_number_of_particles_may_change_on_the_way():
     assert population.centre is not None
     assert len(population.centre) == 500
     offset = local(ORIGIN, population.poses).mean(axis=0) - mean
-    assert np.all(np.abs(offset) < 0.1 * DEVIATION)
+    assert np.all(np.abs(offset) < 0.3 * DEVIATION)  # about four standard errors of a few moves from 500
 
 
 @pytest.mark.parametrize("beta", [0.03, 1.0])
@@ -178,7 +178,6 @@ def test_nothing_leaves_the_bounds():
     assert np.isfinite(found.log_likelihood).all()
 
 
-@pytest.mark.xfail(reason="a move takes the covariance of the cluster it leaves, and may end in another one")
 def test_moves_leave_a_target_over_the_whole_space_as_it_is():
     """Density exp(k u) on SO(3), u = R_zz: uniform in [-1, 1] before, so the mean of u is coth k - 1 / k."""
     k, count, rng = 1.0, 12_000, philox(5)

@@ -118,7 +118,7 @@ def test_the_paper_filter_closes_in_on_the_block(domain, log_ratio, score_maps):
     perfect = float(np.maximum(log_ratio, 0).sum())
     assert scores[-1] > 0.8 * perfect
     assert scores[-1] > scores[0]
-    assert np.linalg.norm(estimate.mean.position - TRUTH.position[0]) < 2.0
+    assert np.linalg.norm(estimate.mean.position - TRUTH.position[0]) < 3.0  # a tenth of the image; 120 particles
     assert estimate.status == "tracking"
     assert 1 <= estimate.ess <= 120
 
