@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import random
 
 import httpx
@@ -92,8 +93,11 @@ async def test_too_many_watchers_are_refused(make_app):
 
 
 async def test_cut_at_random_loses_and_repeats_nothing(make_app, anyio_backend):
-    """A watcher that is cut after a random number of messages, and resumes after the last one it saw."""
-    n_frames = 60
+    """Watchers that are cut after a random number of messages, and resume after the last one they saw.
+
+    The long form: SKYPOSE_TEST_STREAM_FRAMES=700 (about 1,000 cuts).
+    """
+    n_frames = int(os.environ.get("SKYPOSE_TEST_STREAM_FRAMES", "60"))
     dice = random.Random(1)
     async with served(make_app(SlowWorker, stream_ring_events=4)) as address:  # noqa: SIM117
         async with httpx.AsyncClient(base_url=f"http://{address}", timeout=60) as http:

@@ -27,6 +27,8 @@ class Awkward(FakeWorker):
             os.kill(os.getpid(), signal.SIGSTOP)
         if job == "memory":
             raise MemoryError
+        if job == "device":
+            raise type("RuntimeError", (Exception,), {"__module__": "pyopencl._cl"})("CL_DEVICE_NOT_AVAILABLE")
         if job == "bug":
             raise ZeroDivisionError
         if job == "refuse":
@@ -73,7 +75,7 @@ async def test_death_between_jobs_is_not_noticed_by_the_caller():
         assert await process.call("overlay", "pid") == process.pid
 
 
-@pytest.mark.parametrize("job", ["die", "memory"])
+@pytest.mark.parametrize("job", ["die", "memory", "device"])
 async def test_job_that_kills_twice_is_refused(job):
     async with worker() as process:
         with pytest.raises(WorkerFailedError):
