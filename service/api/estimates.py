@@ -12,7 +12,7 @@ import orjson
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from service.api import schemas
-from service.api.paging import next_page, page_limit, problems
+from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.errors import InputError
 from service.sessions.archive import EVERYTHING, particle_arrays
@@ -34,7 +34,7 @@ async def list_estimates(
     limit = page_limit(limit, services.settings)
     found, cursor = await services.archive.estimates(session_id, after, limit)
     following = next_page(f"/v1/sessions/{session_id}/estimates", cursor, limit)
-    return _json(b'{"estimates":[' + b",".join(found) + b'],"next":' + orjson.dumps(following) + b"}")
+    return page_response("estimates", found, following)
 
 
 @router.get("/estimates/latest", response_model=schemas.Estimate, responses=problems(404))

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.datastructures import UploadFile
 
 from service.api import schemas
-from service.api.paging import next_page, page_limit, problems
+from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.errors import InputError, JointError, UnsupportedMediaTypeError
 from service.sessions.library import Upload
@@ -70,11 +70,11 @@ async def list_models(
     services: ServicesDep,
     after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
     limit: Annotated[int, Query(ge=1)] = 100,
-) -> dict[str, Any]:
+) -> Response:
     """All models in order of upload."""
     limit = page_limit(limit, services.settings)
     found, cursor = await services.library.page(after, limit)
-    return {"models": found, "next": next_page("/v1/models", cursor, limit)}
+    return page_response("models", found, next_page("/v1/models", cursor, limit))
 
 
 @router.get("/{model_id}", response_model=schemas.Model, responses=problems(404))

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from service.api import schemas
 from service.api.bodies import read_json
-from service.api.paging import next_page, page_limit, problems
+from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
@@ -41,11 +41,11 @@ async def list_sessions(
     services: ServicesDep,
     after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
     limit: Annotated[int, Query(ge=1)] = 100,
-) -> dict[str, Any]:
+) -> Response:
     """All sessions in order of creation."""
     limit = page_limit(limit, services.settings)
     found, cursor = await services.archive.sessions(after, limit)
-    return {"sessions": found, "next": next_page("/v1/sessions", cursor, limit)}
+    return page_response("sessions", found, next_page("/v1/sessions", cursor, limit))
 
 
 @router.get("/{session_id}", response_model=schemas.Session, responses=problems(404))

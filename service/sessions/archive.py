@@ -35,11 +35,11 @@ class Archive:
         """One session."""
         return session_document(await self.database.read(sessions.get, session_id))
 
-    async def sessions(self, after: int, limit: int) -> tuple[list[dict[str, Any]], int | None]:
-        """Sessions after a cursor, and the cursor of the next page or None."""
+    async def sessions(self, after: int, limit: int) -> tuple[list[bytes], int | None]:
+        """Sessions after a cursor as JSON, and the cursor of the next page or None."""
         found = await self.database.read(sessions.page, after, limit + 1)
         following = found[limit - 1].number if len(found) > limit else None
-        return [session_document(record) for record in found[:limit]], following
+        return [orjson.dumps(session_document(record)) for record in found[:limit]], following
 
     async def estimate(self, session_id: str, index: int | None) -> bytes:
         """The estimate of a frame (None: the newest) as JSON bytes."""

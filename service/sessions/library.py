@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -84,15 +84,19 @@ class Library:
         """One model. Raises ``NotFoundError``."""
         return model_document(await self._database.read(models.get, model_id))
 
-    async def page(self, after: int, limit: int) -> tuple[list[Document], int | None]:
-        """Models after a cursor, and the cursor of the next page or None."""
+    async def page(self, after: int, limit: int) -> tuple[list[bytes], int | None]:
+        """Models after a cursor as JSON, and the cursor of the next page or None."""
         found = await self._database.read(models.page, after, limit + 1)
         following = found[limit - 1].number if len(found) > limit else None
-        return [model_document(record) for record in found[:limit]], following
+        return await asyncio.to_thread(_jsons, found[:limit]), following
 
     async def remove(self, model_id: str) -> None:
         """Delete a model. Raises ``NotFoundError``, or ``ModelInUseError`` while a session needs it."""
         await self._database.write(models.remove, model_id)
+
+
+def _jsons(records: Sequence[ModelRecord]) -> list[bytes]:
+    return [orjson.dumps(model_document(record)) for record in records]
 
 
 def content_id(upload: Upload) -> str:

@@ -5,6 +5,7 @@ import re
 import pytest
 from api_client import running
 
+from service.api import schemas
 from service.api.problems import problem_type
 from service.errors import every_error
 from service.settings import Settings
@@ -66,6 +67,17 @@ async def test_openapi_names_what_routes_refuse(api):
     assert "image/png" in post["requestBody"]["content"]
     sections = document["paths"]["/v1/sessions"]["post"]["requestBody"]["content"]["application/json"]
     assert "particles" in sections["schema"]["properties"]["filter"]["properties"]
+
+
+async def test_lists_are_as_documented(api):
+    session_id = await api.ready_session()
+    await api.post(session_id, 1)
+    for path, kind in (
+        ("/v1/models", schemas.ModelList),
+        ("/v1/sessions", schemas.SessionList),
+        (f"/v1/sessions/{session_id}/estimates", schemas.EstimateList),
+    ):
+        kind.model_validate_json((await api.http.get(path)).content)
 
 
 def test_every_setting_is_documented(root):
