@@ -23,7 +23,10 @@ ROOMS: dict[str, set[str]] = {
     "service.models": {"gpu", "inference", "errors"},
     "service.imaging": {"errors"},
     "service.inference": set(),
+    "service.attitude": {"inference", "errors"},
+    "service.exports": {"attitude", "inference", "errors"},
     "service.simulate": {"gpu", "inference"},
+    "service.bench": {"simulate", "workers", "inference", "models", "imaging", "gpu"},
     "service.store": {"errors", "settings"},
     "service.errors": set(),
     "service.settings": set(),
@@ -34,7 +37,9 @@ ROOMS: dict[str, set[str]] = {
 # Third-party packages of the rooms that must run anywhere, or know nothing of the rest.
 PACKAGES: dict[str, set[str]] = {
     "service.inference": {"numpy", "scipy"},
-    "service.imaging": {"numpy", "scipy", "cv2"},
+    "service.imaging": {"numpy", "scipy", "cv2", "astropy"},
+    "service.attitude": {"numpy", "astropy_iers_data", "erfa"},
+    "service.exports": {"numpy"},
     "gpu": {"numpy", "scipy", "pyopencl", "moderngl", "trimesh", "fast_simplification"},
     "service.errors": set(),
 }
