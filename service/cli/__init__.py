@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from service.cli.bench import bench
 from service.cli.demo import demo
 from service.cli.doctor import doctor
 from service.cli.serve import serve
@@ -16,6 +17,7 @@ app.command()(simulate)
 app.command()(demo)
 app.command()(track)
 app.command()(doctor)
+app.add_typer(bench)
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ def simulate(
     wanted = None if size is None else parse_size(size)
     if random:
         for k in range(random):
-            scenario = randomised(seed * _SEED_STRIDE + k, size=wanted or (256, 256), frames=frames or 40)
+            scenario = randomised(pass_seed(seed, k), size=wanted or (256, 256), frames=frames or 40)
             _write(models[k % len(models)], scenario, out / f"pass_{k:03d}", joints)
         return
     if preset not in PRESETS:
@@ -46,6 +46,11 @@ def simulate(
     if frames is not None:
         scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
     _write(models[0], scenario, out, joints)
+
+
+def pass_seed(seed: int, number: int) -> int:
+    """Seed of pass ``number`` of a series of random passes."""
+    return seed * _SEED_STRIDE + number
 
 
 def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | None) -> None:

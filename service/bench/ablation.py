@@ -1,0 +1,65 @@
+"""Each choice of the default preset switched off, one at a time, as far as a session's parameters can."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+
+class VariantError(ValueError):
+    """There is no variant of that name."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A change of the default session. ``sections`` are laid over it; ``twins`` False hides the symmetries."""
+
+    name: str
+    says: str
+    sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    twins: bool = True
+
+
+VARIANTS = (
+    Variant("default", "nothing switched off"),
+    Variant("psf", "point spread fixed at 0.3 px instead of estimated", {"camera": {"psf_sigma_px": 0.3}}),
+    Variant("contrast", "the paper's histogram map (Eq. 3)", {"likelihood": {"kind": "histogram"}}),
+    Variant(
+        "shadow",
+        "unlit parts cost as much as uncovered light",
+        {"likelihood": {"covered_empty_nats": 3.0, "uncovered_bright_nats": 3.0}},
+    ),
+    Variant("colour", "brightness instead of colour", {"likelihood": {"feature": "intensity"}}),
+    Variant("exponent", "every pixel independent: exponent 1", {"likelihood": {"exponent": 1.0}}),
+    Variant("twins", "the filter is not told of the body's symmetries", twins=False),
+    Variant("velocity", "jitter instead of constant velocity", {"motion": {"kind": "jitter"}}),
+    Variant("moves", "one tempering step with a move instead of several", {"filter": {"moves": 1}}),
+    Variant(
+        "tempering",
+        "resample, jitter, weigh (the paper's update) with the default map",
+        {"filter": {"method": "bootstrap"}, "motion": {"kind": "jitter", "rotation_deg": 6.0, "log_scale": 0.03}},
+    ),
+    Variant("starts", "a tenth of the starts when nothing is known", {"filter": {"acquisition_particles": 600}}),
+    Variant("particles", "a quarter of the particles", {"filter": {"particles": 250}}),
+    Variant("resampler", "multinomial instead of systematic", {"filter": {"resampler": "multinomial"}}),
+    Variant("paper", "the published method", {"filter": {"preset": "paper"}}),
+)
+
+
+def choose_variants(names: Sequence[str]) -> list[Variant]:
+    """The variants of these names, with the default first; all of them where none is named. Raises ``VariantError``."""
+    known = [variant.name for variant in VARIANTS]
+    for name in names:
+        if name not in known:
+            raise VariantError(f"no variant {name!r}; there are {', '.join(known)}")
+    return [variant for variant in VARIANTS if not names or variant.name in (*names, "default")]
+
+
+def overlay(*layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Sections laid one over the other, later ones winning field by field."""
+    merged: dict[str, dict[str, Any]] = {}
+    for layer in layers:
+        for section, values in layer.items():
+            merged[section] = {**merged.get(section, {}), **values}
+    return merged

@@ -1,0 +1,34 @@
+"""How strong the object stands out: a pass's signal-to-noise ratio from its own images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.bench.silhouette import Mask
+from service.imaging.decode import decode_frame
+
+
+class SkyLevel:
+    """Mean and noise of the empty sky, channels averaged."""
+
+    def __init__(self, images: Iterable[bytes]) -> None:
+        stack = np.stack([grey(body) for body in images])
+        self._mean = stack.mean(axis=0)
+        spread = stack - self._mean if len(stack) > 1 else stack - stack.mean()
+        freedom = (len(stack) - 1) / len(stack) if len(stack) > 1 else 1.0
+        self._sigma = float(np.sqrt(np.mean(spread**2) / freedom))
+
+    def snr(self, body: bytes, covered: Mask) -> float:
+        """Mean light of the object's pixels above the sky, in units of one pixel's noise. NaN if it covers none."""
+        if not covered.any():
+            return float("nan")
+        return float((grey(body) - self._mean)[covered].mean()) / max(self._sigma, 1e-9)
+
+
+def grey(body: bytes) -> NDArray[np.float64]:
+    """(H, W) an image file's mean over channels."""
+    image = decode_frame(body, "image/png").image.astype(np.float64)
+    return image if image.ndim == 2 else image.mean(axis=2)

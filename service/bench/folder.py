@@ -1,0 +1,109 @@
+"""Cases from a folder: ``case.json``, ``truth.csv``, ``background/*.png``, ``frames/*.png`` in each of its folders."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.bench.cases import Case, ModelShelf, TruthFrame
+from service.inference.state import Array
+
+
+class SequenceError(ValueError):
+    """A folder is no benchmark sequence; the message says what is missing."""
+
+
+@dataclass(frozen=True)
+class SequenceFolder:
+    """One sequence on disk. ``meshes`` are further places where its mesh may lie."""
+
+    path: Path
+    meshes: tuple[Path, ...] = ()
+
+    def case(self, shelf: ModelShelf) -> Case:
+        """Read what describes the pass and prepare its model; the frames are read later, one by one."""
+        described = json.loads((self.path / "case.json").read_text())
+        file = self._mesh(described["mesh"])
+        joints = tuple(_upload_entry(joint) for joint in described.get("joints", []))
+        model = shelf.model(file.name, file.read_bytes(), joints or None)
+        names = tuple(str(joint["name"]) for joint in joints)
+        return Case(
+            name=str(described["name"]),
+            model=model,
+            free=names,
+            size=(int(described["width"]), int(described["height"])),
+            backgrounds=self._backgrounds,
+            frames=lambda: self._frames(names),
+            symmetries=listed_symmetries(file),
+        )
+
+    def _backgrounds(self) -> Iterator[bytes]:
+        for path in sorted((self.path / "background").glob("*.png")):
+            yield path.read_bytes()
+
+    def _frames(self, names: Sequence[str]) -> Iterator[tuple[bytes, TruthFrame]]:
+        with (self.path / "truth.csv").open(newline="") as file:
+            for k, row in enumerate(csv.DictReader(file)):
+                yield (self.path / "frames" / f"{k:03d}.png").read_bytes(), _truth(row, names)
+
+    def _mesh(self, name: str) -> Path:
+        roots = (*self.meshes, self.path, self.path.parent, self.path.parent.parent)
+        for root in roots:
+            for candidate in (root / name, root / Path(name).name, root / "meshes" / Path(name).name):
+                if candidate.is_file():
+                    return candidate
+        raise SequenceError(f"{self.path.name}: no mesh {name} in {', '.join(str(root) for root in roots)}")
+
+
+def find_sequences(folder: Path, names: Sequence[str] = (), meshes: Path | None = None) -> list[SequenceFolder]:
+    """The sequences of a folder in the order of their names, or the folder itself if it is one.
+
+    Raises ``SequenceError`` where there is none, or none of a wanted name.
+    """
+    found = [folder] if (folder / "case.json").is_file() else sorted(p.parent for p in folder.glob("*/case.json"))
+    if not found:
+        raise SequenceError(f"{folder} holds no sequence: no case.json in it or in a folder of it")
+    for name in names:
+        if name not in [path.name for path in found]:
+            raise SequenceError(f"no sequence {name!r}; there are {', '.join(path.name for path in found)}")
+    extra = () if meshes is None else (meshes,)
+    return [SequenceFolder(path, extra) for path in found if not names or path.name in names]
+
+
+def listed_symmetries(mesh: Path) -> tuple[Array, ...] | None:
+    """The orthogonal matrices that ``symmetry.json`` beside a mesh lists for it; None where it lists none."""
+    file = mesh.parent / "symmetry.json"
+    listed = json.loads(file.read_text()) if file.is_file() else {}
+    if mesh.name not in listed:
+        return None
+    return tuple(np.array(matrix, dtype=np.float64) for matrix in listed[mesh.name])
+
+
+def _upload_entry(joint: Mapping[str, Any]) -> dict[str, Any]:
+    """A joint of ``case.json`` as an upload says it."""
+    return {
+        "name": joint["name"],
+        "kind": joint.get("kind", "revolute"),
+        "parts": joint["nodes"],
+        "axis": joint["axis"],
+        "origin": joint.get("origin", [0, 0, 0]),
+        "min": joint.get("min", -180),
+        "max": joint.get("max", 180),
+    }
+
+
+def _truth(row: Mapping[str, str], names: Sequence[str]) -> TruthFrame:
+    return TruthFrame(
+        time_s=float(row["time_s"]),
+        quaternion=np.array([float(row[column]) for column in ("qw", "qx", "qy", "qz")]),
+        position=np.array([float(row["x_px"]), float(row["y_px"])]),
+        scale=float(row["scale_px"]),
+        joints={name: float(row[name]) for name in names},
+        visible=row["visible"] == "1",
+    )

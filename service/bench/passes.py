@@ -1,0 +1,48 @@
+"""Cases from the simulator: passes drawn at random, made frame by frame and forgotten."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from service.bench.cases import Case, Model, TruthFrame
+from service.simulate.folder import encode_png
+from service.simulate.scenario import Scenario, randomised
+from service.simulate.sequence import SimulatedPass
+
+
+def random_case(name: str, model: Model, seed: int, free: tuple[str, ...], size: tuple[int, int], frames: int) -> Case:
+    """A pass drawn at random by ``seed``. ``free`` names the joints that move and are estimated."""
+    scenario = randomised(seed, size=size, frames=frames)
+    scenario = replace(scenario, motion=replace(scenario.motion, joints=free))
+    return simulated_case(name, model, scenario, free)
+
+
+def simulated_case(name: str, model: Model, scenario: Scenario, free: tuple[str, ...]) -> Case:
+    """A pass of the simulator as a case."""
+    simulated = SimulatedPass(model.mesh, model.articulation, scenario)
+    return Case(
+        name=name,
+        model=model,
+        free=free,
+        size=scenario.size,
+        backgrounds=lambda: (encode_png(image) for image in simulated.backgrounds()),
+        frames=lambda: _frames(simulated),
+        facts={"d_over_r0": scenario.air.d_over_r0, "phase_deg": scenario.light.phase_deg},
+    )
+
+
+def _frames(simulated: SimulatedPass) -> Iterator[tuple[bytes, TruthFrame]]:
+    track, names = simulated.track, [joint.name for joint in simulated.articulation.joints]
+    for k, image in enumerate(simulated.frames()):
+        truth = TruthFrame(
+            time_s=float(track.time_s[k]),
+            quaternion=track.poses.quaternion[k],
+            position=track.poses.position[k],
+            scale=float(np.exp(track.poses.log_scale[k])),
+            joints=dict(zip(names, track.poses.joints[k].tolist(), strict=True)),
+            visible=bool(track.visible[k]),
+        )
+        yield encode_png(image), truth

@@ -1,0 +1,161 @@
+"""The figures of a benchmark as PNG files: error over time, success, coverage, time per frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from service.bench.runner import CaseResult
+from service.bench.scoring import FrameScore
+from service.bench.summary import Row, radius_factor, settled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MOST_PANELS = 12  # more passes than this are shown as one distribution
+_COLUMNS = 3
+_LEAST_DEG = 0.05
+_BINS = 6
+CONDITIONS = {"snr": "SNR per pixel", "d_over_r0": "D / r0", "size_px": "size of the body, px"}
+
+
+class PlotsMissingError(RuntimeError):
+    """matplotlib is not installed."""
+
+
+def require_matplotlib() -> None:
+    """Raises ``PlotsMissingError`` before an hour of benchmark is spent on a report that cannot be drawn."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise PlotsMissingError("plots need matplotlib: pip install 'skypose[bench]'") from error
+
+
+def write_plots(results: Sequence[CaseResult], rows: Sequence[Row], folder: Path) -> dict[str, str]:
+    """Draw what the results allow; returns caption by file name."""
+    require_matplotlib()
+    entries = list(dict.fromkeys(result.entry for result in results))
+    plots = {
+        "error_over_time.png": ("Orientation error over time", _error_over_time(results, entries)),
+        "coverage.png": ("Coverage of the stated credible regions", _coverage(results, entries)),
+        "time_per_frame.png": ("Time per frame", _time_per_frame(results, entries)),
+    }
+    known = [name for name in CONDITIONS if any(name in row for row in rows)]
+    if known:
+        caption = "Success against " + ", ".join(CONDITIONS[name] for name in known)
+        plots["success.png"] = (caption, _success(rows, entries, known))
+    for name, (_, figure) in plots.items():
+        figure.savefig(folder / name, dpi=110)
+    return {name: caption for name, (caption, _) in plots.items()}
+
+
+def _figure(rows: int, columns: int) -> tuple[Figure, list[Axes]]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.0 * columns, 3.0 * rows), layout="constrained")
+    axes: Any = figure.subplots(rows, columns, squeeze=False)
+    return figure, list(axes.ravel())
+
+
+def _error_over_time(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
+    """A panel per pass, or the distribution over many passes."""
+    cases = list(dict.fromkeys(result.case for result in results))
+    if len(cases) > _MOST_PANELS:
+        return _error_distribution(results, entries)
+    figure, axes = _figure(-(-len(cases) // _COLUMNS), min(len(cases), _COLUMNS))
+    for panel, case in zip(axes, cases, strict=False):
+        for colour, entry in enumerate(entries):
+            for result in results:
+                if (result.entry, result.case) == (entry, case):
+                    panel.plot(*_error_line(result.frames), color=f"C{colour}", label=entry, linewidth=1.2)
+        panel.set_title(case, fontsize=9)
+        _error_axis(panel)
+    for panel in axes[len(cases) :]:
+        panel.set_axis_off()
+    axes[0].legend(fontsize=8)
+    return figure
+
+
+def _error_line(frames: Sequence[FrameScore]) -> tuple[list[float], list[float]]:
+    """Time and error; a frame without the object leaves a gap (NaN)."""
+    return [frame.time_s for frame in frames], [max(frame.orientation_deg, _LEAST_DEG) for frame in frames]
+
+
+def _error_distribution(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
+    figure, (panel,) = _figure(1, 1)
+    for colour, entry in enumerate(entries):
+        mine = [result.frames for result in results if result.entry == entry]
+        length = max(len(frames) for frames in mine)
+        errors = np.full((len(mine), length), np.nan)
+        for k, frames in enumerate(mine):
+            errors[k, : len(frames)] = [max(frame.orientation_deg, _LEAST_DEG) for frame in frames]
+        times = [frame.time_s for frame in max(mine, key=len)]
+        low, middle, high = np.nanquantile(errors, (0.25, 0.5, 0.9), axis=0)
+        panel.plot(times, middle, color=f"C{colour}", label=f"{entry}: median, 25 to 90 %")
+        panel.fill_between(times, low, high, color=f"C{colour}", alpha=0.2, linewidth=0)
+    _error_axis(panel)
+    panel.legend(fontsize=8)
+    return figure
+
+
+def _error_axis(panel: Axes) -> None:
+    panel.set_yscale("log")
+    panel.set_ylim(_LEAST_DEG, 200)
+    panel.axhline(5, color="grey", linewidth=0.6, linestyle=":")
+    panel.set_xlabel("time, s")
+    panel.set_ylabel("error, deg")
+
+
+def _success(rows: Sequence[Row], entries: Sequence[str], known: Sequence[str]) -> Figure:
+    """Share of frames within 5 degrees against each condition: passes as dots, means of equal groups as a line."""
+    figure, axes = _figure(1, len(known))
+    for panel, name in zip(axes, known, strict=True):
+        for colour, entry in enumerate(entries):
+            mine = [row for row in rows if row["preset"] == entry and name in row]
+            x, y = (np.array([row[key] for row in mine], dtype=np.float64) for key in (name, "within5"))
+            panel.plot(x, y, ".", color=f"C{colour}", alpha=0.4)
+            if len(mine) >= 2 * _BINS:
+                groups = np.array_split(np.argsort(x, kind="stable"), _BINS)
+                line = [(x[group].mean(), y[group].mean()) for group in groups]
+                panel.plot(*zip(*line, strict=True), color=f"C{colour}", label=entry)
+        panel.set_xlabel(CONDITIONS[name])
+        panel.set_ylabel("frames within 5 deg")
+        panel.set_ylim(-0.03, 1.03)
+        if name == "snr":
+            panel.set_xscale("symlog", linthresh=1.0)
+    if axes[0].get_legend_handles_labels()[0]:
+        axes[0].legend(fontsize=8)
+    return figure
+
+
+def _coverage(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
+    """Share of frames inside the region of each stated share: on the diagonal if the spread can be trusted."""
+    stated = np.linspace(0.01, 0.99, 99)
+    figure, (panel,) = _figure(1, 1)
+    panel.plot([0, 1], [0, 1], color="grey", linewidth=0.8)
+    for colour, entry in enumerate(entries):
+        ratio = np.array([f.ratio for r in results if r.entry == entry for f in settled(r.frames)])
+        found = [np.mean(ratio <= factor) for factor in radius_factor(stated)]
+        panel.plot(stated, found, color=f"C{colour}", label=entry)
+    panel.set_xlabel("stated share")
+    panel.set_ylabel("share of frames inside")
+    panel.legend(fontsize=8)
+    return figure
+
+
+def _time_per_frame(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
+    figure, (panel,) = _figure(1, 1)
+    for colour, entry in enumerate(entries):
+        ms = np.sort([f.ms for r in results if r.entry == entry for f in settled(r.frames)])
+        panel.plot(ms, np.arange(1, len(ms) + 1) / len(ms), color=f"C{colour}", label=entry)
+        first = np.median([r.frames[0].ms for r in results if r.entry == entry])
+        panel.axvline(first, color=f"C{colour}", linestyle=":", label=f"{entry}: first frame, median")
+    panel.set_xscale("log")
+    panel.set_xlabel("ms per frame")
+    panel.set_ylabel("share of frames")
+    panel.legend(fontsize=8)
+    return figure

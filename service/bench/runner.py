@@ -1,0 +1,123 @@
+"""Cases through the tracker: every entry follows the same frames, each with its own session."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+
+import numpy as np
+
+from service.bench.brightness import SkyLevel
+from service.bench.cases import Case
+from service.bench.scoring import FrameScore, Referee
+from service.bench.silhouette import whole_pixels
+from service.inference.params import JointParams, SessionConfig
+from service.inference.state import FilterState
+from service.workers.base import BackgroundJob, FrameJob, FrameReport
+from service.workers.tracker import Tracker, content_key
+
+_PNG = "image/png"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One contestant: a configuration by name. ``twins`` False: the filter is not told of the body's symmetries."""
+
+    name: str
+    config: SessionConfig
+    twins: bool = True
+    says: str = ""
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """An entry's answers to a case. ``facts``: conditions of the pass, such as ``snr``, ``size_px``, ``d_over_r0``."""
+
+    entry: str
+    case: str
+    frames: tuple[FrameScore, ...]
+    facts: Mapping[str, float]
+    n_joints: int
+    scorer: str
+
+
+@dataclass
+class _Session:
+    """What an entry carries along a pass."""
+
+    entry: Entry
+    case: Case
+    config: SessionConfig
+    background: str
+    blobs: Mapping[str, bytes]
+    state: FilterState | None = None
+    scorer: str = ""
+    scores: list[FrameScore] = field(default_factory=list)
+
+    def track(self, tracker: Tracker, index: int, time_s: float, body: bytes) -> FrameReport:
+        """One frame as the service would run it."""
+        model = self.case.model
+        job = FrameJob(
+            config=self.config,
+            model=model.key,
+            file_type=model.file_type,
+            articulation=model.articulation,
+            background=self.background,
+            state=self.state,
+            frame_index=index,
+            time_s=time_s,
+            body=body,
+            media_type=_PNG,
+            blobs=self.blobs,
+            twins=model.twins if self.entry.twins else (),
+        )
+        report = tracker.track(job)
+        self.state, self.scorer = report.state, report.scorer
+        return report
+
+
+def run_case(
+    tracker: Tracker,
+    case: Case,
+    entries: Sequence[Entry],
+    limit: int | None = None,
+    progress: Callable[[int], None] = lambda frames: None,
+) -> list[CaseResult]:
+    """Run all entries over a case, frame by frame; no image is kept. ``progress`` hears how many frames are done."""
+    referee = Referee(case)
+    backgrounds = list(case.backgrounds())
+    sessions = [_open(tracker, case, entry, backgrounds) for entry in entries]
+    sky = SkyLevel(backgrounds)
+    del backgrounds
+    snr, size_px = [], []
+    for index, (body, truth) in enumerate(islice(case.frames(), limit)):
+        real = referee.draw(truth.poses(referee.articulation)) if truth.visible else None
+        if real is not None:
+            snr.append(sky.snr(body, whole_pixels(real)))
+            size_px.append(2 * case.model.mesh.radius * truth.scale)
+        for session in sessions:
+            began = time.perf_counter()
+            report = session.track(tracker, index, truth.time_s, body)
+            ms = 1e3 * (time.perf_counter() - began)
+            session.scores.append(referee.score(index, truth, real, report.estimate, ms))
+        progress(index + 1)
+    facts = {**case.facts, **_medians(snr=snr, size_px=size_px)}
+    joints = referee.articulation.n_joints
+    return [CaseResult(s.entry.name, case.name, tuple(s.scores), facts, joints, s.scorer) for s in sessions]
+
+
+def _open(tracker: Tracker, case: Case, entry: Entry, backgrounds: Sequence[bytes]) -> _Session:
+    config = replace(entry.config, joints=JointParams(free=case.free))
+    learned: bytes | None = None
+    for body in backgrounds:
+        learned = tracker.learn_background(BackgroundJob(config, body, _PNG, learned)).background
+    if learned is None:
+        raise ValueError(f"{case.name} has no background frame")
+    key = content_key(learned)
+    return _Session(entry, case, config, key, {case.model.key: case.model.data, key: learned})
+
+
+def _medians(**values: Sequence[float]) -> dict[str, float]:
+    return {name: float(np.nanmedian(found)) for name, found in values.items() if np.any(np.isfinite(found))}

@@ -1,0 +1,139 @@
+"""One frame's answer against the truth, modulo what no silhouette can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.bench.cases import Case, TruthFrame
+from service.bench.silhouette import Mask, fine_silhouette, overlap
+from service.inference.articulation import Articulation, Joint, hold
+from service.inference.pose import angle_between, concatenate
+from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses
+from service.inference.symmetry import Symmetry, twin
+from service.models.symmetry_group import held_symmetries, make_symmetry
+from service.simulate.compare import joint_error
+
+LEAST_WEIGHT = 0.1  # of a mode that counts as reported
+TWIN_FOUND_DEG = 5.0  # a mode this near to a pose reports it
+_TIED_DEG = 1e-6
+_FULL_TURN_DEG = 360.0
+_NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class FrameScore:
+    """What one frame came to. Figures of a frame that shows no object are NaN."""
+
+    index: int
+    time_s: float
+    visible: bool
+    status: str
+    ms: float
+    orientation_deg: float = _NAN  # of ``best``
+    modes_deg: float = _NAN  # of the nearest reported mode
+    ratio: float = _NAN  # that error over the mode's own RMS spread
+    position_px: float = _NAN
+    scale_percent: float = _NAN
+    joint: float = _NAN
+    iou: float = _NAN
+    n_modes: int = 0
+    twins_reported: bool | None = None  # None: the body has no mirror plane
+
+
+class Referee:
+    """Knows a case's body: draws it, and knows which poses look alike."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+        self.articulation: Articulation = hold(case.model.articulation, case.free, {})
+        self._alike = _ambiguity(case, self.articulation)
+        self._mirrored = np.array([False, *(symmetry.kind == "mirror" for symmetry in self._alike)])
+
+    def draw(self, pose: Poses) -> Mask:
+        """The fine silhouette of a batch of one."""
+        return fine_silhouette(self._case.model.mesh, self.articulation, pose, self._case.size)
+
+    def score(self, index: int, truth: TruthFrame, real: Mask | None, estimate: Estimate, ms: float) -> FrameScore:
+        """Hold an answer against the truth; ``real`` is the true silhouette, None for a frame without the body."""
+        if real is None:
+            return FrameScore(index, truth.time_s, False, estimate.status, ms)
+        true = truth.poses(self.articulation)
+        alike = concatenate(true, *(twin(true, symmetry) for symmetry in self._alike))
+        best = estimate.best
+        angles = _angles_deg(best, alike)
+        joint, position = self._nearest(best, alike, angles)
+        modes = [mode for mode in estimate.modes if mode.weight >= LEAST_WEIGHT]
+        nearest_deg, width_deg = _nearest_mode(modes, estimate, alike, float(angles.min()))
+        return FrameScore(
+            index=index,
+            time_s=truth.time_s,
+            visible=True,
+            status=estimate.status,
+            ms=ms,
+            orientation_deg=float(angles.min()),
+            modes_deg=nearest_deg,
+            ratio=nearest_deg / width_deg if width_deg else _NAN,
+            position_px=position,
+            scale_percent=100.0 * abs(best.scale / truth.scale - 1.0),
+            joint=joint,
+            iou=overlap(real, self.draw(_batch(best))),
+            n_modes=max(1, len(modes)),
+            twins_reported=self._twins_reported(estimate.modes, alike),
+        )
+
+    def _nearest(self, found: PoseEstimate, alike: Poses, angles: Array) -> tuple[float, float]:
+        """Joint and position error against those of the alike poses that are nearest in orientation."""
+        tied = np.flatnonzero(angles <= angles.min() + _TIED_DEG)
+        errors = [
+            (
+                max(
+                    (_joint_error(j, a, b) for j, a, b in zip(self.articulation.joints, found.joints, v, strict=True)),
+                    default=0.0,
+                ),
+                float(np.linalg.norm(found.position - p)),
+            )
+            for v, p in zip(alike.joints[tied], alike.position[tied], strict=True)
+        ]
+        return min(errors)
+
+    def _twins_reported(self, modes: Sequence[Mode], alike: Poses) -> bool | None:
+        """Whether modes stand near the truth (or a rotation symmetry of it) and near a mirror twin of it."""
+        if not self._mirrored.any():
+            return None
+        gaps = np.array([_angles_deg(mode.pose, alike) for mode in modes]).reshape(-1, len(alike))
+        near = np.any(gaps < TWIN_FOUND_DEG, axis=0)
+        return bool(near[self._mirrored].any() and near[~self._mirrored].any())
+
+
+def _ambiguity(case: Case, held: Articulation) -> tuple[Symmetry, ...]:
+    """The listed symmetries of the body, as they stand; else what was found with the model, joints mapped."""
+    if case.symmetries is None:
+        return held_symmetries(case.model.twins, case.model.articulation, held)
+    n = held.n_joints
+    return tuple(make_symmetry(matrix, np.zeros(3), (1.0,) * n, (0.0,) * n) for matrix in case.symmetries)
+
+
+def _nearest_mode(modes: Sequence[Mode], estimate: Estimate, alike: Poses, best_deg: float) -> tuple[float, float]:
+    """Error of the nearest reported mode, and its spread (the whole estimate's where it has none)."""
+    errors = [float(_angles_deg(mode.pose, alike).min()) for mode in modes]
+    if not errors:
+        return best_deg, estimate.spread.orientation_deg
+    k = int(np.argmin(errors))
+    return errors[k], modes[k].spread.orientation_deg or estimate.spread.orientation_deg
+
+
+def _angles_deg(found: PoseEstimate, alike: Poses) -> Array:
+    return np.rad2deg(angle_between(found.quaternion[None], alike.quaternion))
+
+
+def _joint_error(joint: Joint, found: float, truth: float) -> float:
+    if joint.kind == "revolute" and joint.period is None:  # a value one turn on is the same place
+        return abs((found - truth + 180.0) % _FULL_TURN_DEG - 180.0)
+    return joint_error(joint, found, truth)
+
+
+def _batch(pose: PoseEstimate) -> Poses:
+    return Poses(pose.quaternion[None], pose.position[None], np.log([pose.scale]), np.asarray(pose.joints)[None])

@@ -1,0 +1,101 @@
+"""``skypose bench``: how good, how sure and how fast, on passes with known truth."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+bench = typer.Typer(name="bench", no_args_is_help=True, help="Benchmarks: accuracy, calibration and time.")
+
+Folder = Annotated[Path | None, typer.Argument(help="Folder of sequences (case.json in each), or one sequence.")]
+Names = Annotated[list[str] | None, typer.Option("--case", help="Only this sequence; may be repeated.")]
+Limit = Annotated[int | None, typer.Option(min=1, help="Only so many frames of each pass.")]
+Json = Annotated[Path | None, typer.Option("--json", help="Write the rows as JSON.")]
+Report = Annotated[Path | None, typer.Option(help="Folder for report.md: tables and plots.")]
+Passes = Annotated[int, typer.Option(min=0, help="Instead of a folder: so many simulated passes drawn at random.")]
+Seed = Annotated[int, typer.Option(min=0, help="Of the simulated passes, as in 'skypose simulate --random'.")]
+Meshes = Annotated[list[str] | None, typer.Option("--mesh", help="Mesh file of simulated passes; may be repeated.")]
+Joints = Annotated[str | None, typer.Option(help="Joints of simulated passes: all, none, or A,B.")]
+Size = Annotated[str, typer.Option(help="Of simulated images.")]
+Frames = Annotated[int, typer.Option(min=1, help="Of each simulated pass.")]
+Root = Annotated[Path | None, typer.Option("--meshes", help="Where the sequences' meshes lie, if not beside them.")]
+Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE for all sessions; may be repeated.")]
+
+
+@bench.command()
+def track(
+    folder: Folder = None,
+    preset: Annotated[list[str] | None, typer.Option(help="balanced, paper; may be repeated. Default: both.")] = None,
+    case: Names = None,
+    limit: Limit = None,
+    json: Json = None,
+    report: Report = None,
+    passes: Passes = 0,
+    seed: Seed = 0,
+    mesh: Meshes = None,
+    joints: Joints = None,
+    size: Size = "256x256",
+    frames: Frames = 40,
+    meshes: Root = None,
+    settings: Set = None,
+) -> None:
+    """Run presets over passes with known truth."""
+    from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
+
+    with refusals():
+        names, bodies = tuple(case or ()), tuple(mesh or ())
+        selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames)
+        entries = entries_of(preset or ["balanced", "paper"], settings or ())
+        run_benchmark(selection, entries, limit, Output(command_line(), json, report))
+
+
+@bench.command()
+def ablate(
+    folder: Folder = None,
+    variant: Annotated[list[str] | None, typer.Option(help="Only this variant; may be repeated.")] = None,
+    case: Names = None,
+    limit: Limit = None,
+    json: Json = None,
+    report: Report = None,
+    passes: Passes = 0,
+    seed: Seed = 0,
+    mesh: Meshes = None,
+    joints: Joints = None,
+    size: Size = "256x256",
+    frames: Frames = 40,
+    meshes: Root = None,
+    settings: Set = None,
+) -> None:
+    """The default preset with each of its choices switched off, one at a time."""
+    from service.cli.bench_run import Output, Selection, run_benchmark, variant_entries
+
+    with refusals():
+        names, bodies = tuple(case or ()), tuple(mesh or ())
+        selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames)
+        entries = variant_entries(variant or (), settings or ())
+        run_benchmark(selection, entries, limit, Output(command_line(), json, report))
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """What a user can mend is told in a line, without a traceback."""
+    from service.bench.ablation import VariantError
+    from service.bench.folder import SequenceError
+    from service.bench.plots import PlotsMissingError
+    from service.errors import SkyposeError
+
+    try:
+        yield
+    except (SkyposeError, SequenceError, VariantError, PlotsMissingError) as error:
+        typer.secho(str(error), fg="red", err=True)
+        raise typer.Exit(1) from error
+
+
+def command_line() -> str:
+    """The command as it was typed, for a report."""
+    return " ".join(["skypose", *sys.argv[1:]])

@@ -1,0 +1,176 @@
+"""What the tracking benchmarks share: choose the passes, run them with a progress line, print and write the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import orjson
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from service.bench.ablation import choose_variants, overlay
+from service.bench.cases import Case, ModelShelf
+from service.bench.folder import find_sequences
+from service.bench.machine import describe_machine
+from service.bench.passes import random_case
+from service.bench.plots import require_matplotlib, write_plots
+from service.bench.report import case_table, markdown_report, overall_rows, overall_table, write_frames
+from service.bench.runner import CaseResult, Entry, run_case
+from service.bench.summary import Row, case_row
+from service.cli.model_file import read_model_file
+from service.cli.options import choose_joints, parse_size
+from service.cli.simulate import pass_seed
+from service.sessions.config import effective
+from service.workers.tracker import Tracker
+
+_FILE_WIDTH = 200
+_MOST_PRINTED = 60  # rows; of more only the totals
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which passes: a folder's sequences, or ``passes`` drawn at random."""
+
+    folder: Path | None
+    names: tuple[str, ...]
+    meshes_root: Path | None
+    passes: int
+    seed: int
+    meshes: tuple[str, ...]
+    joints: str | None
+    size: str
+    frames: int
+
+    @property
+    def title(self) -> str:
+        """What is measured, in a line."""
+        if self.passes:
+            return f"{self.passes} simulated passes drawn at random (seed {self.seed})"
+        return f"Sequences of {self.folder.name if self.folder else ''}"
+
+    @property
+    def count(self) -> int:
+        """Number of passes."""
+        return self.passes or len(find_sequences(self._folder, self.names, self.meshes_root))
+
+    def cases(self, shelf: ModelShelf) -> Iterator[Case]:
+        """The passes one by one; each is prepared when it is asked for."""
+        if not self.passes:
+            for sequence in find_sequences(self._folder, self.names, self.meshes_root):
+                yield sequence.case(shelf)
+            return
+        files = [read_model_file(source) for source in self.meshes or ("demo",)]
+        models = [shelf.model(file.name, file.data) for file in files]
+        free = [choose_joints(self.joints, tuple(j.name for j in m.articulation.joints)) for m in models]
+        for k in range(self.passes):
+            which = k % len(models)
+            seed = pass_seed(self.seed, k)
+            yield random_case(f"pass_{k:03d}", models[which], seed, free[which], parse_size(self.size), self.frames)
+
+    @property
+    def _folder(self) -> Path:
+        if self.folder is None:
+            raise typer.BadParameter("give a folder of sequences, or --passes")
+        return self.folder
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where the figures go, beside the terminal."""
+
+    command: str
+    json: Path | None
+    report: Path | None
+
+
+def entries_of(presets: Sequence[str], settings: Sequence[str]) -> list[Entry]:
+    """An entry per preset. Raises ``ConfigError`` for a setting that there is not."""
+    given = read_settings(settings)
+    return [Entry(name, effective(overlay({"filter": {"preset": name}}, given))) for name in presets]
+
+
+def variant_entries(names: Sequence[str], settings: Sequence[str]) -> list[Entry]:
+    """An entry per variant of the default preset. Raises ``VariantError`` for an unknown one."""
+    given = read_settings(settings)
+    return [
+        Entry(variant.name, effective(overlay(given, variant.sections)), variant.twins, variant.says)
+        for variant in choose_variants(names)
+    ]
+
+
+def read_settings(settings: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """``filter.particles=200`` and the like -> sections of a session. A value is JSON, or else a word."""
+    found: dict[str, dict[str, Any]] = {}
+    for setting in settings:
+        path, equals, text = setting.partition("=")
+        section, dot, name = path.partition(".")
+        if not (equals and dot and section and name):
+            raise typer.BadParameter(f"{setting!r} is not SECTION.NAME=VALUE")
+        try:
+            value = orjson.loads(text)
+        except orjson.JSONDecodeError:
+            value = text
+        found.setdefault(section, {})[name] = value
+    return found
+
+
+def run_benchmark(selection: Selection, entries: Sequence[Entry], limit: int | None, output: Output) -> None:
+    """Run, print, write. What was measured before an interruption is written too."""
+    if output.report is not None:
+        require_matplotlib()
+    results: list[CaseResult] = []
+    tracker = Tracker()
+    try:
+        with _progress() as progress:
+            task = progress.add_task("", total=selection.count)
+            for case in selection.cases(ModelShelf(tracker)):
+                hear = partial(_tell, progress, task, case.name)
+                results += run_case(tracker, case, entries, limit, hear)
+                progress.update(task, advance=1)
+    finally:
+        tracker.close()
+        rows = [case_row(result) for result in results]
+        if rows:
+            total = overall_rows(rows, {entry.name: entry.says for entry in entries})
+            _print(rows, total)
+            _write(selection, results, rows, total, output)
+
+
+def _write(
+    selection: Selection, results: Sequence[CaseResult], rows: Sequence[Row], total: Sequence[Row], output: Output
+) -> None:
+    machine = {**describe_machine(), "scorer": results[0].scorer}
+    document: Mapping[str, Any] = {"machine": machine, "rows": rows, "overall": total}
+    data = orjson.dumps(document, option=orjson.OPT_INDENT_2)
+    if output.json is not None:
+        output.json.write_bytes(data)
+    if output.report is not None:
+        output.report.mkdir(parents=True, exist_ok=True)
+        (output.report / "rows.json").write_bytes(data)
+        write_frames(results, output.report / "frames.csv")
+        plots = write_plots(results, rows, output.report)
+        page = markdown_report(selection.title, output.command, machine, rows, total, plots)
+        (output.report / "report.md").write_text(page)
+
+
+def _print(rows: Sequence[Row], total: Sequence[Row]) -> None:
+    console = Console()
+    if not console.is_terminal:  # a file has no width: columns are not cut short
+        console = Console(width=_FILE_WIDTH)
+    if len(rows) <= _MOST_PRINTED:
+        console.print(case_table(rows))
+    console.print(overall_table(total))
+
+
+def _progress() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True))
+
+
+def _tell(progress: Progress, task: Any, name: str, frames: int) -> None:
+    progress.update(task, description=f"{name}: frame {frames}")
