@@ -1,0 +1,1 @@
+"""Attitude histories in the formats of other programs."""
