@@ -20,6 +20,7 @@ _MOST_PANELS = 12  # more passes than this are shown as one distribution
 _COLUMNS = 3
 _LEAST_DEG = 0.05
 _BINS = 6
+_COLOURS = [f"C{k}" for k in range(10)] + ["black", "gold", "navy", "lime", "salmon", "teal"]
 CONDITIONS = {"snr": "SNR per pixel", "d_over_r0": "D / r0", "size_px": "size of the body, px"}
 
 
@@ -71,7 +72,9 @@ def _error_over_time(results: Sequence[CaseResult], entries: Sequence[str]) -> F
         for colour, entry in enumerate(entries):
             for result in results:
                 if (result.entry, result.case) == (entry, case):
-                    panel.plot(*_error_line(result.frames), color=f"C{colour}", label=entry, linewidth=1.2)
+                    panel.plot(
+                        *_error_line(result.frames), color=_COLOURS[colour % len(_COLOURS)], label=entry, linewidth=1.2
+                    )
         panel.set_title(case, fontsize=9)
         _error_axis(panel)
     for panel in axes[len(cases) :]:
@@ -95,8 +98,8 @@ def _error_distribution(results: Sequence[CaseResult], entries: Sequence[str]) -
             errors[k, : len(frames)] = [max(frame.orientation_deg, _LEAST_DEG) for frame in frames]
         times = [frame.time_s for frame in max(mine, key=len)]
         low, middle, high = np.nanquantile(errors, (0.25, 0.5, 0.9), axis=0)
-        panel.plot(times, middle, color=f"C{colour}", label=f"{entry}: median, 25 to 90 %")
-        panel.fill_between(times, low, high, color=f"C{colour}", alpha=0.2, linewidth=0)
+        panel.plot(times, middle, color=_COLOURS[colour % len(_COLOURS)], label=f"{entry}: median, 25 to 90 %")
+        panel.fill_between(times, low, high, color=_COLOURS[colour % len(_COLOURS)], alpha=0.2, linewidth=0)
     _error_axis(panel)
     panel.legend(fontsize=8)
     return figure
@@ -117,18 +120,17 @@ def _success(rows: Sequence[Row], entries: Sequence[str], known: Sequence[str]) 
         for colour, entry in enumerate(entries):
             mine = [row for row in rows if row["preset"] == entry and name in row]
             x, y = (np.array([row[key] for row in mine], dtype=np.float64) for key in (name, "within5"))
-            panel.plot(x, y, ".", color=f"C{colour}", alpha=0.4)
+            panel.plot(x, y, ".", color=_COLOURS[colour % len(_COLOURS)], alpha=0.5, label=entry)
             if len(mine) >= 2 * _BINS:
                 groups = np.array_split(np.argsort(x, kind="stable"), _BINS)
                 line = [(x[group].mean(), y[group].mean()) for group in groups]
-                panel.plot(*zip(*line, strict=True), color=f"C{colour}", label=entry)
+                panel.plot(*zip(*line, strict=True), color=_COLOURS[colour % len(_COLOURS)])
         panel.set_xlabel(CONDITIONS[name])
         panel.set_ylabel("frames within 5 deg")
         panel.set_ylim(-0.03, 1.03)
         if name == "snr":
-            panel.set_xscale("symlog", linthresh=1.0)
-    if axes[0].get_legend_handles_labels()[0]:
-        axes[0].legend(fontsize=8)
+            panel.set_xscale("log")
+    axes[0].legend(fontsize=8)
     return figure
 
 
@@ -140,7 +142,7 @@ def _coverage(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
     for colour, entry in enumerate(entries):
         ratio = np.array([f.ratio for r in results if r.entry == entry for f in settled(r.frames)])
         found = [np.mean(ratio <= factor) for factor in radius_factor(stated)]
-        panel.plot(stated, found, color=f"C{colour}", label=entry)
+        panel.plot(stated, found, color=_COLOURS[colour % len(_COLOURS)], label=entry)
     panel.set_xlabel("stated share")
     panel.set_ylabel("share of frames inside")
     panel.legend(fontsize=8)
@@ -151,9 +153,11 @@ def _time_per_frame(results: Sequence[CaseResult], entries: Sequence[str]) -> Fi
     figure, (panel,) = _figure(1, 1)
     for colour, entry in enumerate(entries):
         ms = np.sort([f.ms for r in results if r.entry == entry for f in settled(r.frames)])
-        panel.plot(ms, np.arange(1, len(ms) + 1) / len(ms), color=f"C{colour}", label=entry)
+        panel.plot(ms, np.arange(1, len(ms) + 1) / len(ms), color=_COLOURS[colour % len(_COLOURS)], label=entry)
         first = np.median([r.frames[0].ms for r in results if r.entry == entry])
-        panel.axvline(first, color=f"C{colour}", linestyle=":", label=f"{entry}: first frame, median")
+        panel.axvline(
+            first, color=_COLOURS[colour % len(_COLOURS)], linestyle=":", label=f"{entry}: first frame, median"
+        )
     panel.set_xscale("log")
     panel.set_xlabel("ms per frame")
     panel.set_ylabel("share of frames")

@@ -1,0 +1,90 @@
+"""``skypose bench track`` and ``bench ablate``: rows, report, and refusals with their reason."""
+
+import json
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from service.bench.ablation import VARIANTS
+from service.cli import app
+from service.cli.bench_run import entries_of, read_settings, variant_entries
+
+RUNNER = CliRunner()
+WIDE = {"COLUMNS": "200", "TERM": "dumb"}
+SMALL = ["--frames", "2", "--size", "64x64", "--set", "filter.particles=30", "--set", "filter.acquisition_particles=60"]
+CONTRACT = ("preset", "case", "err1", "err5", "err10", "err_med", "err_p95", "within5", "modes5", "pos_med")
+CONTRACT += ("scale_med", "joint_med", "iou_med", "ms_med")
+
+
+def test_passes_become_rows_and_a_report(tmp_path):
+    pytest.importorskip("matplotlib")
+    out = ["--json", str(tmp_path / "rows.json"), "--report", str(tmp_path / "report")]
+    result = RUNNER.invoke(app, ["bench", "track", "--passes", "2", "--preset", "paper", *SMALL, *out], env=WIDE)
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "rows.json").read_text())
+    assert [row["case"] for row in document["rows"]] == ["pass_000", "pass_001"]
+    assert set(CONTRACT) <= set(document["rows"][0])
+    assert {"cpu", "cores", "scorer"} <= set(document["machine"])
+    assert document["overall"][0]["cases"] == 2
+    page = (tmp_path / "report" / "report.md").read_text()
+    for plot in ("error_over_time", "success", "coverage", "time_per_frame"):
+        assert f"({plot}.png)" in page
+        assert (tmp_path / "report" / f"{plot}.png").read_bytes()[:4] == b"\x89PNG"
+    assert len((tmp_path / "report" / "frames.csv").read_text().splitlines()) == 5
+    assert "pass_001" in result.output
+
+
+def test_variants_stand_beside_the_default(tmp_path):
+    simulated = RUNNER.invoke(
+        app, ["simulate", "--out", str(tmp_path / "one"), "--frames", "2", "--size", "64x64", "--preset", "night"]
+    )
+    assert simulated.exit_code == 0
+    arguments = ["bench", "ablate", str(tmp_path / "one"), "--variant", "paper", *SMALL[4:]]
+    result = RUNNER.invoke(app, [*arguments, "--json", str(tmp_path / "rows.json")], env=WIDE)
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "rows.json").read_text())
+    assert [(row["preset"], row["says"]) for row in document["overall"]] == [
+        ("default", "nothing switched off"),
+        ("paper", "the published method"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["track"], "give a folder of sequences, or --passes"),
+        (["track", "nowhere"], "holds no sequence"),
+        (["track", "--passes", "1", "--preset", "best"], "preset"),
+        (["track", "--passes", "1", "--set", "filter.speed=3"], "speed"),
+        (["track", "--passes", "1", "--set", "particles"], "SECTION.NAME=VALUE"),
+        (["ablate", "--passes", "1", "--variant", "luck"], "no variant 'luck'"),
+    ],
+)
+def test_refusals_say_why(arguments, message):
+    result = RUNNER.invoke(app, ["bench", *arguments], env=WIDE)
+    assert result.exit_code != 0
+    assert message in result.output
+
+
+def test_a_report_without_matplotlib_is_refused_before_the_work(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    result = RUNNER.invoke(app, ["bench", "track", "--passes", "1", "--report", str(tmp_path)], env=WIDE)
+    assert result.exit_code == 1
+    assert "skypose[bench]" in result.output
+
+
+def test_settings_reach_every_session_and_variants_win():
+    assert read_settings(["filter.seed=3", "likelihood.kind=histogram"]) == {
+        "filter": {"seed": 3},
+        "likelihood": {"kind": "histogram"},
+    }
+    for entry in entries_of(["balanced", "paper"], ["filter.seed=3"]):
+        assert (entry.config.filter.preset, entry.config.filter.seed) == (entry.name, 3)
+    found = {entry.name: entry for entry in variant_entries((), ["filter.moves=4"])}
+    assert list(found) == [variant.name for variant in VARIANTS]
+    assert (found["default"].config.filter.moves, found["moves"].config.filter.moves) == (4, 1)
+    assert found["paper"].config.filter.particles == 3000
+    assert not found["twins"].twins
+    changed = [entry for entry in found.values() if (entry.config, entry.twins) != (found["default"].config, True)]
+    assert len(changed) == len(VARIANTS) - 1
