@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import os
+import shutil
 import tempfile
 from dataclasses import dataclass
 
 import numpy as np
+import pyopencl as cl
 
 PROBE = "__kernel void probe(__global int *out) { out[get_global_id(0)] = (int)get_global_id(0) * 3 + 1; }"
-
-
-class DeviceError(RuntimeError):
-    """No OpenCL device answers, or the one in use failed."""
-
-
-class DeviceLostError(DeviceError):
-    """The device failed or disappeared during a call; open the scorer anew."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +30,13 @@ class DeviceReport:
 
 @functools.cache
 def find_devices() -> tuple[DeviceReport, ...]:
-    """Look at every device of every platform once per process, best first (usable GPUs, then CPUs)."""
+    """Look at every device of every platform once per process, best first: usable GPUs, usable others, the rest."""
     _use_private_kernel_cache()
-    try:
-        import pyopencl as cl
-    except ImportError:
-        return ()
-    try:
-        platforms = cl.get_platforms()
-    except cl.Error:  # the loader says "platform not found" when no driver is installed
-        return ()
-    found = [_inspect(cl, p, d) for p in range(len(platforms)) for d in range(_count(cl, platforms[p]))]
+    found = [
+        _inspect(platform, device, (p, d))
+        for p, platform in enumerate(_platforms())
+        for d, device in enumerate(_devices(platform))
+    ]
     return tuple(sorted(found, key=lambda r: (r.rejected is not None, r.kind != "gpu", r.index)))
 
 
@@ -57,45 +48,49 @@ def no_device_reason() -> str:
     return "; ".join(f"{r.name} on {r.platform}: {r.rejected}" for r in found if r.rejected)
 
 
+def open_device(report: DeviceReport) -> cl.Device:
+    """The device that a report is about."""
+    platform, device = report.index
+    return cl.get_platforms()[platform].get_devices()[device]
+
+
 def _use_private_kernel_cache() -> None:
-    """PoCL's cache of built kernels must not be shared with other users or running processes."""
+    """PoCL's cache of built kernels must not be shared with other users, who could put kernels of theirs into it."""
     if "POCL_CACHE_DIR" not in os.environ:
-        os.environ["POCL_CACHE_DIR"] = _cache_directory().name
+        folder = tempfile.mkdtemp(prefix="skypose-pocl-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        os.environ["POCL_CACHE_DIR"] = folder
 
 
-@functools.cache
-def _cache_directory() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="skypose-pocl-", ignore_cleanup_errors=True)
-
-
-def _count(cl: object, platform: object) -> int:
+def _platforms() -> list[cl.Platform]:
     try:
-        return len(platform.get_devices())  # type: ignore[attr-defined]
-    except cl.Error:  # type: ignore[attr-defined]
-        return 0
+        return list(cl.get_platforms())
+    except cl.Error:  # the loader says "platform not found" where no driver is installed
+        return []
 
 
-def _inspect(cl: object, p: int, d: int) -> DeviceReport:
-    import pyopencl
+def _devices(platform: cl.Platform) -> list[cl.Device]:
+    try:
+        return list(platform.get_devices())
+    except cl.Error:  # "device not found": a driver without its hardware
+        return []
 
-    platform = pyopencl.get_platforms()[p]
-    device = platform.get_devices()[d]
-    kind = {pyopencl.device_type.GPU: "gpu", pyopencl.device_type.CPU: "cpu"}
+
+def _inspect(platform: cl.Platform, device: cl.Device, index: tuple[int, int]) -> DeviceReport:
+    kinds = {cl.device_type.GPU: "gpu", cl.device_type.CPU: "cpu"}
     return DeviceReport(
         platform=platform.name.strip(),
         name=device.name.strip(),
         version=device.version.strip(),
-        kind=next((v for k, v in kind.items() if device.type & k), "other"),
+        kind=next((name for kind, name in kinds.items() if device.type & kind), "other"),
         rejected=_probe(device),
-        index=(p, d),
+        index=index,
         extensions=tuple(device.extensions.split()),
     )
 
 
-def _probe(device: object) -> str | None:
+def _probe(device: cl.Device) -> str | None:
     """Build and run a small kernel; None if the answer is right."""
-    import pyopencl as cl
-
     try:
         context = cl.Context([device])
         queue = cl.CommandQueue(context)
@@ -104,6 +99,6 @@ def _probe(device: object) -> str | None:
         kernel = cl.Kernel(cl.Program(context, PROBE).build(), "probe")
         kernel(queue, (64,), None, buffer)
         cl.enqueue_copy(queue, out, buffer)
-    except (cl.Error, RuntimeError, OSError) as error:
+    except (cl.Error, OSError) as error:
         return f"the probe kernel failed: {str(error).splitlines()[0]}"
     return None if np.array_equal(out, np.arange(64) * 3 + 1) else "the probe kernel's answer is wrong"

@@ -46,12 +46,13 @@ def outline_edges(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Ed
     key, forward, face = key[order], forward[order], face[order]
     _, first, count = np.unique(key, return_index=True, return_counts=True)
     ends, a, b = _pairs(first, count, forward, normals[face])
-    flat = np.abs(a - b).max(axis=1) < NORMAL_DIGITS
+    a, b = a.astype(np.float32), b.astype(np.float32)
+    flat = (a == b).all(axis=1)  # the very same: else their signs could differ, and a row would not close
     keys = key[ends[~flat]]
     return Edges(
         np.stack([keys // len(vertices), keys % len(vertices)], axis=1).astype(np.int32),
-        a[~flat].astype(np.float32),
-        b[~flat].astype(np.float32),
+        a[~flat],
+        b[~flat],
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -48,9 +49,11 @@ def read_parts(data: bytes, file_type: str) -> list[RawPart]:
 
 
 def _scene(data: bytes, kind: str) -> trimesh.Scene:
-    options = {"merge_primitives": True, "skip_materials": True} if kind == "glb" else {}
+    options: dict[str, Any] = {"process": False}
+    if kind == "glb":
+        options |= {"merge_primitives": True, "skip_materials": True}
     try:
-        return trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, **options)
+        return trimesh.load_scene(io.BytesIO(data), file_type=kind, **options)
     except Exception as error:  # whatever the parser trips over, the file is at fault
         raise MeshError(f"cannot be read as {kind.upper()}: {type(error).__name__}: {error}") from error
 

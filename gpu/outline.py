@@ -2,96 +2,156 @@
 
 from __future__ import annotations
 
-from importlib import resources
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.device import DeviceLostError, DeviceReport
-from gpu.edges import outline_edges
+from gpu.budget import batch_size
+from gpu.clusters import build_table
+from gpu.device import DeviceReport, open_device
+from gpu.errors import DeviceLostError, ImageSizeError, ScorerError
 from gpu.mesh import Mesh
-from gpu.prefix import fixed_point_prefix
+from gpu.occlusion import Occlusion
+from gpu.outline_cpu import CpuOutline, DeviceTable, unresolved
+from gpu.outline_gpu import GpuOutline
+from gpu.prefix import MapCache
+from gpu.program import constant
+from gpu.shifts import ShiftGrid
+
+Floats = NDArray[np.float64]
+Transforms = NDArray[np.float32]
+Map = NDArray[np.float32]
+
+LARGEST_SIDE = 8191  # rows and columns have 13 bits in the kernels
+LEAST_BYTES = 48  # of one part's transform
 
 
 class OutlineScorer:
-    """Scores on one OpenCL device. Owned, used and closed by one thread."""
+    """Scores on one OpenCL device. Owned, used and closed by one thread.
 
-    def __init__(self, mesh: Mesh, report: DeviceReport) -> None:
-        self.name = f"opencl:outline:{report.platform}:{report.name}"
-        platform, index = report.index
-        self._device = cl.get_platforms()[platform].get_devices()[index]
-        self._context = cl.Context([self._device])
-        self._queue = cl.CommandQueue(self._context)
+    ``kernel`` is ``"cpu"`` or ``"gpu"``; by default the device's kind decides.
+    """
+
+    def __init__(self, mesh: Mesh, report: DeviceReport, kernel: str | None = None) -> None:
+        self.name = f"opencl:outline:{report.name}"
+        self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
         self._parts = len(mesh.parts)
-        columns, counts = [], [0]
-        for part in mesh.parts:
-            edges = outline_edges(part.vertices, part.faces)
-            a, b = (part.vertices[edges.ends[:, k]] for k in (0, 1))
-            columns.append(np.hstack([a, b, edges.normal_a, edges.normal_b]).astype(np.float32))
-            counts.append(counts[-1] + len(edges))
-        table = np.concatenate(columns).T
-        self._n_edges = table.shape[1]
-        self._edges = self._constant(np.ascontiguousarray(table))
-        self._edge_start = self._constant(np.array(counts, np.int32))
-        self._shape: tuple[int, int] | None = None
-        self._map: NDArray[np.float32] | None = None
+        with self._device_errors():
+            table = build_table(mesh, Occlusion(self._queue).hidden_pieces)
+            on_device = DeviceTable.upload(self._queue.context, table, self._parts)
+            self._by_group = GpuOutline(self._queue, on_device)
+            use_cpu = (kernel or report.kind) == "cpu"
+            self._by_item = CpuOutline(self._queue, on_device) if use_cpu else None
+            self._maps = MapCache(self._queue.context)
 
-    def score(
-        self, part_transforms: NDArray[np.float32], log_ratio: NDArray[np.float32]
-    ) -> NDArray[np.float64]:
+    def score(self, part_transforms: Transforms, log_ratio: Map) -> Floats:
         """(N, P, 3, 4) transforms, (H, W) map -> (N,) sums of the map under the silhouettes."""
-        transforms = np.ascontiguousarray(part_transforms, dtype=np.float32)
-        if transforms.shape[1:] != (self._parts, 3, 4):
-            raise ValueError(f"transforms are {transforms.shape}, not (N, {self._parts}, 3, 4)")
-        if len(transforms) == 0:
-            return np.zeros(0)
-        try:
-            return self._run(transforms, log_ratio)
-        except cl.RuntimeError as error:
-            raise DeviceLostError(f"{self.name} failed: {error}") from error
+        return self.score_many(part_transforms, log_ratio)[:, 0]
+
+    def score_many(self, part_transforms: Transforms, maps: Map) -> Floats:
+        """(N, P, 3, 4) transforms, (H, W) or (K, H, W) maps -> (N, K): one outline, K sums."""
+        transforms = self._checked(part_transforms, maps.shape[-2:])
+        with self._device_errors():
+            prefix = self._maps.load(maps)
+            n_maps = len(prefix.units)
+            scores = np.empty((len(transforms), n_maps), np.int64)
+            for batch in self._batches(len(transforms), 8 * n_maps):
+                scores[batch] = self._score(transforms[batch], prefix.buffer, n_maps, prefix.shape)
+        return np.asarray(scores * prefix.units, dtype=np.float64)
+
+    def score_shifts(self, part_transforms: Transforms, log_ratio: Map, shifts: NDArray[np.integer]) -> Floats:
+        """(N, P, 3, 4) transforms, (H, W) map, (S, 2) whole pixels dx, dy -> (N, S) scores of the shifted silhouettes.
+
+        The work grows with the rectangle around the shifts, and is small for each: 0.03 us or so.
+        """
+        steps = np.asarray(shifts, dtype=np.int64).reshape(-1, 2)
+        transforms = self._checked(part_transforms, log_ratio.shape)
+        if len(steps) == 0 or len(transforms) == 0:
+            return np.zeros((len(transforms), len(steps)))
+        if self._by_item is None:
+            return self._score_one_by_one(transforms, log_ratio, steps)
+        return self._score_grid(self._by_item, transforms, log_ratio, steps)
 
     def close(self) -> None:
         """Wait for the device."""
         self._queue.finish()
 
-    def _run(self, transforms: NDArray[np.float32], log_ratio: NDArray[np.float32]) -> NDArray[np.float64]:
-        self._load_map(log_ratio)
-        scores = np.empty(len(transforms), np.int64)
-        out = cl.Buffer(self._context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
-        self._kernel(
-            self._queue, (self._groups,), (1,),
-            self._constant(transforms), np.int32(len(transforms)), self._edge_start, self._edges,
-            np.int32(self._n_edges), self._prefix, out, self._diff, self._marks, self._constant(np.zeros(1, np.int32)),
-        )  # fmt: skip
+    def _score(
+        self, transforms: Transforms, prefix: cl.Buffer, n_maps: int, shape: tuple[int, int]
+    ) -> NDArray[np.int64]:
+        scores = np.empty((len(transforms), n_maps), np.int64)
+        if len(transforms) == 0:
+            return scores
+        context = self._queue.context
+        out = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
+        kernel = self._by_item or self._by_group
+        kernel.score(constant(context, transforms), len(transforms), prefix, n_maps, shape, out)
         cl.enqueue_copy(self._queue, scores, out)
-        return scores * self._unit
+        crowded = unresolved(scores)
+        if len(crowded):
+            few = constant(context, transforms[crowded])
+            self._by_group.score(few, len(crowded), prefix, n_maps, shape, out)
+            again = np.empty((len(crowded), n_maps), np.int64)
+            cl.enqueue_copy(self._queue, again, out)
+            scores[crowded] = again
+        return scores
 
-    def _load_map(self, log_ratio: NDArray[np.float32]) -> None:
-        if log_ratio is self._map and not log_ratio.flags.writeable:
-            return
-        if log_ratio.shape != self._shape:
-            self._build(log_ratio.shape)
-        prefix, unit = fixed_point_prefix(log_ratio[None])
-        self._prefix, self._unit, self._map = self._constant(prefix), float(unit[0]), log_ratio
+    def _score_grid(
+        self, kernel: CpuOutline, transforms: Transforms, log_ratio: Map, steps: NDArray[np.int64]
+    ) -> Floats:
+        grid = ShiftGrid.around(steps)
+        canvas = (log_ratio.shape[0] + 2 * grid.margin, log_ratio.shape[1] + 2 * grid.margin)
+        moved = transforms.copy()
+        moved[:, :, :2, 3] += grid.margin
+        self._checked(moved, canvas)
+        table, unit, first, width = grid.table(log_ratio)
+        picked = np.empty((len(moved), len(steps)), np.int64)
+        size = grid.rows, grid.columns
+        with self._device_errors():
+            prefix = constant(self._queue.context, table)
+            for batch in self._batches(len(moved), 8 * grid.rows * grid.columns):
+                scores = np.empty((batch.stop - batch.start, *size), np.int64)
+                out = cl.Buffer(self._queue.context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
+                now = constant(self._queue.context, moved[batch])
+                kernel.score_shifts(now, len(scores), prefix, first, width, size, canvas, out)
+                cl.enqueue_copy(self._queue, scores, out)
+                picked[batch] = grid.pick(scores, steps)
+        result = picked * unit
+        crowded = unresolved(picked)
+        if len(crowded):
+            result[crowded] = self._score_one_by_one(transforms[crowded], log_ratio, steps)
+        return result
 
-    def _build(self, shape: tuple[int, ...]) -> None:
-        height, width = shape
-        words = width // 64 + 1
-        source = resources.files("gpu").joinpath("kernels/outline_cpu.cl").read_text()
-        options = [
-            f"-DPARTS={self._parts}",
-            f"-DWIDTH={width}",
-            f"-DHEIGHT={height}",
-            "-DMAPS=1",
-            f"-DWORDS={words}",
-        ]
-        self._kernel = cl.Kernel(cl.Program(self._context, source).build(options), "score")
-        self._groups = self._device.max_compute_units
-        self._diff = self._constant(np.zeros(self._groups * height * words * 64, np.int16))
-        self._marks = self._constant(np.zeros(self._groups * height * words, np.uint64))
-        self._shape = (height, width)
+    def _score_one_by_one(self, transforms: Transforms, log_ratio: Map, steps: NDArray[np.int64]) -> Floats:
+        scores = np.empty((len(transforms), len(steps)))
+        for k, step in enumerate(steps):
+            moved = transforms.copy()
+            moved[:, :, :2, 3] += step
+            scores[:, k] = self.score(moved, log_ratio)
+        return scores
 
-    def _constant(self, values: NDArray[np.generic]) -> cl.Buffer:
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self._context, flags, hostbuf=values)
+    def _checked(self, part_transforms: Transforms, shape: tuple[int, ...]) -> Transforms:
+        transforms = np.ascontiguousarray(part_transforms, dtype=np.float32)
+        if transforms.shape[1:] != (self._parts, 3, 4):
+            raise ScorerError(f"transforms are {transforms.shape}, not (N, {self._parts}, 3, 4)")
+        if max(shape) > LARGEST_SIDE:
+            raise ImageSizeError(f"an image of {shape[1]} x {shape[0]} is larger than {LARGEST_SIDE} a side")
+        return transforms
+
+    def _batches(self, n: int, bytes_out: int) -> Iterator[slice]:
+        device = self._queue.device
+        each = LEAST_BYTES * self._parts + bytes_out
+        size = batch_size(each, device.global_mem_size, device.max_mem_alloc_size)
+        return (slice(start, min(start + size, n)) for start in range(0, n, size))
+
+    @contextmanager
+    def _device_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except cl.MemoryError as error:
+            raise ScorerError(f"{self.name} has too little memory: {error}") from error
+        except cl.Error as error:
+            raise DeviceLostError(f"{self.name} failed: {error}") from error

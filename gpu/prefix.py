@@ -1,25 +1,63 @@
-"""Row prefix sums of a map in fixed point, so that a sum has the same bits in any order and on any device."""
+"""Row prefix sums of maps in fixed point, so that a sum has the same bits in any order and on any device."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from dataclasses import dataclass
+
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
+from gpu.errors import ScorerError
+from gpu.program import constant
 
-def fixed_point_prefix(maps: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """(K, H, W) maps -> (K, H, W + 1) int32 prefix sums and (K,) value of one unit (a power of two).
+BITS = 30  # of a prefix sum
+KEPT_MAPS = 4
 
-    The unit is the smallest for which no prefix overflows, whatever the map: rounding a pixel to it costs at most
-    W 2^-32 of the largest value. Raises ``ValueError`` for a map with a value that is not finite.
+
+@dataclass(frozen=True)
+class PrefixMaps:
+    """Prefix sums on the device, (K, H, W + 1) int32, and per map the value of one unit."""
+
+    buffer: cl.Buffer
+    units: NDArray[np.float64]  # (K,) powers of two
+    shape: tuple[int, int]  # H, W of the maps
+
+
+class MapCache:
+    """Uploads maps; a read-only array that was uploaded lately is not uploaded again (by identity)."""
+
+    def __init__(self, context: cl.Context) -> None:
+        self._context = context
+        self._kept: OrderedDict[int, tuple[NDArray[np.float32], PrefixMaps]] = OrderedDict()
+
+    def load(self, maps: NDArray[np.float32]) -> PrefixMaps:
+        """(H, W) or (K, H, W) maps -> their prefix sums on the device."""
+        if id(maps) in self._kept and not maps.flags.writeable:
+            self._kept.move_to_end(id(maps))
+            return self._kept[id(maps)][1]
+        prefix, units = fixed_point_prefix(maps.reshape(-1, *maps.shape[-2:]))
+        loaded = PrefixMaps(constant(self._context, prefix), units, (maps.shape[-2], maps.shape[-1]))
+        self._kept[id(maps)] = (maps, loaded)  # the array is kept too, so that its identity stays its own
+        while len(self._kept) > KEPT_MAPS:
+            self._kept.popitem(last=False)
+        return loaded
+
+
+def fixed_point_prefix(maps: NDArray[np.float32], bits: int = BITS) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """(K, H, W) maps -> (K, H, W + 1) int32 prefix sums along the rows and (K,) value of one unit, a power of two.
+
+    The unit is the smallest for which no prefix sum needs more than ``bits`` bits: rounding a pixel to it costs at
+    most W 2^-(bits + 1) of the largest value. Raises ``ScorerError`` for a map with a value that is not finite.
     """
     values = np.asarray(maps, dtype=np.float64)
+    width = values.shape[2]
     largest = np.abs(values).max(axis=(1, 2), initial=0.0)
     if not np.isfinite(largest).all():
-        raise ValueError("the map has a value that is not finite")
-    width = values.shape[2]
-    exponent = np.ceil(np.log2(np.maximum(largest, 1e-300) * width)) - 30
-    unit = np.exp2(np.maximum(exponent, -1000))
+        raise ScorerError("the map has a value that is not finite")
+    exponent = np.ceil(np.log2(np.maximum(largest, 1e-300) * max(1, width))) - bits
+    units = np.exp2(np.maximum(exponent, -1000.0))
     prefix = np.zeros((*values.shape[:2], width + 1), np.int32)
-    np.cumsum(np.rint(values / unit[:, None, None]), axis=2, out=values)
-    prefix[:, :, 1:] = values
-    return prefix, unit
+    prefix[:, :, 1:] = np.cumsum(np.rint(values / units[:, None, None]), axis=2)
+    return prefix, units

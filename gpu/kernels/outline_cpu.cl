@@ -1,75 +1,279 @@
-// The sum of a map under N silhouettes, by their outlines. One work-item takes particle after particle.
-// Built with: PARTS, WIDTH, HEIGHT, MAPS, WORDS (of 64 columns, width + 1 in all).
-#pragma OPENCL FP_CONTRACT OFF
+// The sum of maps under N silhouettes, by their outlines; see gpu/edges.py for what an outline is.
+//
+// One work-item takes particle after particle, and works on sixteen edges or sixteen rows at a time:
+//   choose   edges that are outline from here and cross the centre of at least one row,
+//   cross    them with the rows: per band of sixteen rows a list of slots, each with one crossing per row (lane),
+//   sort     the slots of a band, so that every row's crossings run from left to right,
+//   walk     along them: where the winding becomes zero, or stops being zero, look the prefix sum up.
+//
+// Built with (gpu/outline_cpu.py): KEPT edges held between two passes, TALL rows up to which an edge's crossings are
+// listed one by one, TALL_SLOTS and SHORT_SLOTS of a band (the former for edges that fill a slot of a band by
+// themselves), BAND_STRIDE in slots (odd, so that the bands do not compete for the same lines of the cache).
+//
+// Coordinates are those of pixel centres: pixel (i, j) is the point (j, i). A crossing is one number that sorts by
+// column, with its winding in the last eight bits.
 
-static int sign_of(float v) { return (v > 0.0f) - (v < 0.0f); }
+typedef struct {
+    __global float *x, *y, *slope;    // chosen edges: upper end, pixels per row
+    __global int *rows;               // bottom << 16 | top << 3 | winding + 4
+    __global int *short_row, *short_crossing;
+    __global int *short_end;          // per row: where its next short crossing goes
+    __global int *tall_end;           // per band: the slot where its next tall edge goes
+    __global ints *slots;
+    __global int *found;              // where a silhouette begins (odd) or ends: 2 * (lane * (width + 1) + column)
+    int width, height, nothing;       // `nothing`: a crossing behind the last column that changes no winding
+} Scratch;
 
-static float3 project(__global const float *t, float x, float y, float z)
+static int bands_of(const int height) { return (height + LANES - 1) / LANES; }
+
+static void empty_band(const Scratch s, const int band)
 {
-    return (float3)(((x * t[0] + y * t[1]) + z * t[2]) + t[3], ((x * t[4] + y * t[5]) + z * t[6]) + t[7], 0.0f);
+    s.tall_end[band] = band * BAND_STRIDE;
+    ((__global ints *)s.short_end)[band] = (band * BAND_STRIDE + TALL_SLOTS) * LANES + lane_numbers();
 }
 
-// First row (or column) whose centre is not before v.
-static int first_centre(float v, int limit) { return clamp((int)ceil(v - 0.5f), 0, limit); }
-
-static void draw_edge(float2 a, float2 b, int winding, __global short *diff, __global ulong *marks)
+static Scratch take_scratch(__global int *memory, const int width, const int height)
 {
-    if (a.y > b.y) { float2 swap = a; a = b; b = swap; winding = -winding; }
-    const int top = first_centre(clamp(a.y, -1.0f, HEIGHT + 1.0f), HEIGHT);
-    const int bottom = first_centre(clamp(b.y, -1.0f, HEIGHT + 1.0f), HEIGHT);
-    if (top >= bottom) return;
-    const float slope = (b.x - a.x) / (b.y - a.y);
-    for (int row = top; row < bottom; ++row) {
-        const float x = a.x + (((float)row + 0.5f) - a.y) * slope;
-        const int column = first_centre(clamp(x, -1.0f, WIDTH + 1.0f), WIDTH);
-        diff[row * (WORDS * 64) + column] += winding;
-        marks[row * WORDS + (column >> 6)] |= 1ul << (column & 63);
+    const int bands = bands_of(height);
+    Scratch s;
+    s.width = width;
+    s.height = height;
+    s.nothing = (width + 1) << 8;
+    s.slots = (__global ints *)memory;
+    memory += (bands * BAND_STRIDE + KEPT * TALL) * LANES;   // the last band may run over before it is noticed
+    s.short_end = memory;
+    memory += bands * LANES;
+    s.tall_end = memory;
+    memory += (bands + LANES) / LANES * LANES;
+    s.x = (__global float *)memory;
+    s.y = s.x + KEPT;
+    s.slope = s.y + KEPT;
+    s.rows = memory + 3 * KEPT;
+    memory += 4 * KEPT;
+    s.short_row = memory;
+    s.short_crossing = s.short_row + KEPT * TALL + LANES;
+    s.found = s.short_crossing + KEPT * TALL + LANES;
+    for (int band = 0; band < bands; ++band) empty_band(s, band);
+    return s;
+}
+
+static ints sign_of(floats v) { return (v < 0.0f) - (v > 0.0f); }
+
+// The first of the points 0, 1, 2, ... that is not before v, at most `end`.
+static ints first_from(floats v, const int end)
+{
+    const floats last = (float)end;
+    v = v > 0.0f ? v : 0.0f;
+    v = v < last ? v : last;
+    const ints whole = convert_int16_rtz(v);
+    return whole - (v > convert_float16(whole));
+}
+
+// Choose among sixteen edges; `block` has their ends and normals (gpu/clusters.py), `mask` the lanes to look at.
+static int choose_edges(
+    __global const floats *block, const int mask, __global const float *t, const float3 view, const Scratch s, int kept)
+{
+    const ints front_a = sign_of((block[6] * view.x + block[7] * view.y) + block[8] * view.z);
+    const ints front_b = sign_of((block[9] * view.x + block[10] * view.y) + block[11] * view.z);
+    const floats xa = ((block[0] * t[0] + block[1] * t[1]) + block[2] * t[2]) + (t[3] - 0.5f);
+    const floats ya = ((block[0] * t[4] + block[1] * t[5]) + block[2] * t[6]) + (t[7] - 0.5f);
+    const floats xb = ((block[3] * t[0] + block[4] * t[1]) + block[5] * t[2]) + (t[3] - 0.5f);
+    const floats yb = ((block[3] * t[4] + block[4] * t[5]) + block[5] * t[6]) + (t[7] - 0.5f);
+    const ints rising = ya > yb;
+    const floats x = rising ? xb : xa, y = rising ? yb : ya, x_end = rising ? xa : xb, y_end = rising ? ya : yb;
+    const ints top = first_from(y, s.height), bottom = first_from(y_end, s.height);
+    const ints winding = rising ? front_b - front_a : front_a - front_b;
+    const ints chosen = (winding != 0) & (bottom > top) & (((ints)mask & ((ints)1 << lane_numbers())) != 0);
+    append_where(chosen, as_int16(x), (__global int *)s.x, kept);
+    append_where(chosen, as_int16(y), (__global int *)s.y, kept);
+    append_where(chosen, as_int16((x_end - x) / (y_end - y)), (__global int *)s.slope, kept);
+    return append_where(chosen, bottom << 16 | top << 3 | (winding + 4), s.rows, kept);
+}
+
+static ints crossing(floats x, floats y, floats slope, ints row, ints winding, const int width)
+{
+    return first_from(x + (convert_float16(row) - y) * slope, width) << 8 | winding;
+}
+
+// One edge of many rows: a slot in every band that it passes.
+static void cross_tall(const Scratch s, const int edge)
+{
+    const int rows = s.rows[edge], top = rows >> 3 & 0x1fff, bottom = rows >> 16, winding = ((rows & 7) - 4) & 255;
+    const float x = s.x[edge], y = s.y[edge], slope = s.slope[edge];
+    for (int band = top / LANES; band <= (bottom - 1) / LANES; ++band) {
+        const ints row = band * LANES + lane_numbers();
+        const int slot = s.tall_end[band];
+        s.tall_end[band] = slot + 1;
+        s.slots[slot] = (row >= top) & (row < bottom) ? crossing(x, y, slope, row, winding, s.width) : s.nothing;
     }
 }
 
-static long sum_row(__global const int *prefix, __global short *diff, __global ulong *marks)
+static void cross_rows(const Scratch s, const int kept)
 {
-    long total = 0;
-    int winding = 0;
-    for (int word = 0; word < WORDS; ++word) {
-        ulong bits = marks[word];
-        marks[word] = 0;
-        while (bits) {
-            const int column = word * 64 + (63 - clz(bits & -bits));
-            bits &= bits - 1;
-            const int before = winding;
-            winding += diff[column];
-            diff[column] = 0;
-            if ((before == 0) != (winding == 0)) total += before ? prefix[column] : -prefix[column];
+    int crossings = 0;
+    for (int k = 0; k < kept; k += LANES) {
+        const floats x = floats_at(s.x + k), y = floats_at(s.y + k), slope = floats_at(s.slope + k);
+        const ints rows = ints_at(s.rows + k), winding = ((rows & 7) - 4) & 255;
+        const ints bottom = k + lane_numbers() < kept ? rows >> 16 : 0;
+        ints row = rows >> 3 & 0x1fff;
+        const ints tall = bottom - row > TALL, end = tall ? 0 : bottom;
+        while (lanes_where(row < end)) {
+            append_where(row < end, row, s.short_row, crossings);
+            crossings = append_where(
+                row < end, crossing(x, y, slope, row, winding, s.width), s.short_crossing, crossings);
+            row += 1;
         }
+        for (uint left = lanes_where(tall); left; left &= left - 1) cross_tall(s, k + 31 - clz(left & -left));
     }
-    return total;
+    for (int k = 0; k < crossings; ++k) {
+        const uint row = s.short_row[k], end = s.short_end[row];
+        s.short_end[row] = end + LANES;
+        ((__global int *)s.slots)[end] = s.short_crossing[k];
+    }
 }
 
-__kernel void score(
-    __global const float *transforms, const int particles, __global const int *edge_start,
-    __global const float *edges, const int n_edges, __global const int *prefix,
-    __global long *scores, __global short *all_diff, __global ulong *all_marks, volatile __global int *next)
+// Has some band more crossings than it has room for?
+static bool overflowed(const Scratch s)
 {
-    __global short *diff = all_diff + get_global_id(0) * (size_t)(HEIGHT * WORDS * 64);
-    __global ulong *marks = all_marks + get_global_id(0) * (size_t)(HEIGHT * WORDS);
-    for (int n = atomic_inc(next); n < particles; n = atomic_inc(next)) {
-        for (int part = 0; part < PARTS; ++part) {
-            __global const float *t = transforms + ((size_t)n * PARTS + part) * 12;
-            const float3 view = cross((float3)(t[0], t[1], t[2]), (float3)(t[4], t[5], t[6]));
-            for (int e = edge_start[part]; e < edge_start[part + 1]; ++e) {
-                __global const float *v = edges + e;
-                const int s = sign_of(v[6 * n_edges] * view.x + v[7 * n_edges] * view.y + v[8 * n_edges] * view.z)
-                    - sign_of(v[9 * n_edges] * view.x + v[10 * n_edges] * view.y + v[11 * n_edges] * view.z);
-                if (s == 0) continue;
-                draw_edge(project(t, v[0], v[n_edges], v[2 * n_edges]).xy,
-                    project(t, v[3 * n_edges], v[4 * n_edges], v[5 * n_edges]).xy, s, diff, marks);
+    ints full = 0;
+    int most = 0;
+    for (int band = 0; band < bands_of(s.height); ++band) {
+        full |= ((__global ints *)s.short_end)[band] >= (band * BAND_STRIDE + TALL_SLOTS + SHORT_SLOTS) * LANES;
+        most = max(most, s.tall_end[band] - band * BAND_STRIDE);
+    }
+    return most > TALL_SLOTS || lanes_where(full);
+}
+
+// Which cell of directions (gpu/cells.py) a view belongs to.
+static int cell_of(const float3 view, const int across)
+{
+    const float3 size = fabs(view);
+    const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
+    const float3 turned = axis == 0 ? view : axis == 1 ? view.yzx : view.zxy;
+    const float half_across = 0.5f * across, u = turned.y / turned.x, v = turned.z / turned.x;
+    const int column = clamp((int)((u + 1.0f) * half_across), 0, across - 1);
+    const int row = clamp((int)((v + 1.0f) * half_across), 0, across - 1);
+    return (axis * across + row) * across + column;
+}
+
+// Cross all parts of one particle with the rows. Returns whether they had room.
+static bool draw_outline(
+    __global const float *transforms, const int parts, __global const floats *blocks, __global const int *starts,
+    __global const int2 *lists, const int across, const Scratch s)
+{
+    int kept = 0;
+    for (int part = 0; part < parts; ++part) {
+        __global const float *t = transforms + part * 12;
+        const float3 view = cross((float3)(t[0], t[1], t[2]), (float3)(t[4], t[5], t[6]));
+        __global const int *start = starts + part * 3 * across * across + cell_of(view, across);
+        for (int k = start[0]; k < start[1]; ++k) {
+            kept = choose_edges(blocks + lists[k].x * 12, lists[k].y, t, view, s, kept);
+            if (kept > KEPT - 2 * LANES) {
+                cross_rows(s, kept);
+                kept = 0;
+                if (overflowed(s)) return false;
             }
         }
-        long total[MAPS];
-        for (int k = 0; k < MAPS; ++k) total[k] = 0;
-        for (int row = 0; row < HEIGHT; ++row)
-            total[0] += sum_row(prefix + row * (WIDTH + 1), diff + row * (WORDS * 64), marks + row * WORDS);
-        scores[n] = total[0];
+    }
+    cross_rows(s, kept);
+    return !overflowed(s);
+}
+
+// Where silhouettes begin and end in a band's rows; returns how many such places were written to `found`.
+static int walk_band(const Scratch s, const int band)
+{
+    __global ints *slots = s.slots + band * BAND_STRIDE;
+    const ints ends = ((__global ints *)s.short_end)[band];
+    int n = s.tall_end[band] - band * BAND_STRIDE, found = 0;
+    for (int k = TALL_SLOTS;; ++k) {
+        const ints filled = ends > (band * BAND_STRIDE + k) * LANES + lane_numbers();
+        if (!lanes_where(filled)) break;
+        slots[n++] = filled ? slots[k] : s.nothing;
+    }
+    if (n == 0) return 0;
+    empty_band(s, band);
+    sort_lanes(slots, n, s.nothing);
+    const ints line = lane_numbers() * (s.width + 1);
+    ints winding = 0, inside = 0;
+    for (int k = 0; k < n; ++k) {
+        winding += slots[k] << 24 >> 24;
+        const ints now_inside = winding != 0;
+        const ints changed = now_inside ^ inside;
+        if (lanes_where(changed))
+            found = append_where(changed, ((line + (slots[k] >> 8)) << 1) - now_inside, s.found, found);
+        inside = now_inside;
+    }
+    return found;
+}
+
+// scores (N, maps): the sum of each map, given as prefix sums along its rows (maps, height, width + 1).
+// A particle without room gets LONG_MIN. `next` is zero at the start.
+__kernel void score(
+    __global const float *transforms, const int particles, const int parts, __global const floats *blocks,
+    __global const int *starts, __global const int2 *lists, const int across, __global const int *prefix,
+    const int maps, const int width, const int height, __global long *scores, __global int *memory,
+    const int memory_each, volatile __global int *next)
+{
+    const Scratch s = take_scratch(memory + get_global_id(0) * (size_t)memory_each, width, height);
+    const size_t map_size = (size_t)height * (width + 1);
+    for (int n = atomic_inc(next); n < particles; n = atomic_inc(next)) {
+        __global long *score = scores + (size_t)n * maps;
+        const bool complete = draw_outline(transforms + (size_t)n * parts * 12, parts, blocks, starts, lists, across, s);
+        for (int map = 0; map < maps; ++map) score[map] = complete ? 0 : LONG_MIN;
+        for (int band = 0; band < bands_of(height); ++band) {
+            if (!complete) {
+                empty_band(s, band);
+                continue;
+            }
+            const int found = walk_band(s, band);
+            for (int map = 0; map < maps; ++map) {
+                __global const int *lines = prefix + map * map_size + band * LANES * (width + 1);
+                long sum = 0;
+                for (int k = 0; k < found; ++k) {
+                    const int value = lines[s.found[k] >> 1];
+                    sum += s.found[k] & 1 ? -value : value;
+                }
+                score[map] += sum;
+            }
+        }
+    }
+}
+
+// Sums for a grid of shifts (rows x columns, columns a multiple of LANES), from one outline. The canvas on which the
+// outline is drawn is `margin` wider than the map on every side; so are, once more, the prefix sums around it, with
+// zeros on the left and the row's total on the right: `prefix` is that table from the grid's first shift on.
+__kernel void score_shifts(
+    __global const float *transforms, const int particles, const int parts, __global const floats *blocks,
+    __global const int *starts, __global const int2 *lists, const int across, __global const int *prefix,
+    const int first, const int prefix_width, const int grid_rows, const int grid_columns, const int width,
+    const int height, __global long *scores, __global int *memory, const int memory_each, volatile __global int *next)
+{
+    const Scratch s = take_scratch(memory + get_global_id(0) * (size_t)memory_each, width, height);
+    for (int n = atomic_inc(next); n < particles; n = atomic_inc(next)) {
+        __global long *score = scores + (size_t)n * grid_rows * grid_columns;
+        const bool complete = draw_outline(transforms + (size_t)n * parts * 12, parts, blocks, starts, lists, across, s);
+        for (int k = 0; k < grid_rows * grid_columns; ++k) score[k] = complete ? 0 : LONG_MIN;
+        for (int band = 0; band < bands_of(height); ++band) {
+            if (!complete) {
+                empty_band(s, band);
+                continue;
+            }
+            const int found = walk_band(s, band);
+            for (int k = 0; k < found; ++k) {   // as places in the table
+                const int place = s.found[k] >> 1, row = place / (width + 1), column = place % (width + 1);
+                s.found[k] = ((band * LANES + row) * prefix_width + column) << 1 | (s.found[k] & 1);
+            }
+            for (int row = 0; row < grid_rows; ++row)
+                for (int column = 0; column < grid_columns; column += LANES) {
+                    __global const int *from = prefix + first + row * prefix_width + column;
+                    ints sum = 0;
+                    for (int k = 0; k < found; ++k) {
+                        const ints values = ints_at(from + (s.found[k] >> 1));
+                        sum += s.found[k] & 1 ? -values : values;
+                    }
+                    __global long16 *total = (__global long16 *)(score + row * grid_columns + column);
+                    *total += convert_long16(sum);
+                }
+        }
     }
 }

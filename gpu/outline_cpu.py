@@ -1,0 +1,115 @@
+"""Runs ``kernels/outline_cpu.cl``: one persistent work-item per compute unit, with its scratch memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from gpu.clusters import OutlineTable
+from gpu.program import build, constant
+
+KernelArgument = np.generic | cl.Buffer
+
+LANES = 16
+CONSTANTS = {"KEPT": 512, "TALL": 4, "TALL_SLOTS": 256, "SHORT_SLOTS": 128, "BAND_STRIDE": 525}
+NO_ROOM = np.iinfo(np.int64).min  # score of a particle with more crossings in a row than there are slots
+
+
+@dataclass(frozen=True)
+class DeviceTable:
+    """An ``OutlineTable`` on the device."""
+
+    blocks: cl.Buffer
+    starts: cl.Buffer
+    lists: cl.Buffer
+    across: int
+    n_parts: int
+    longest: int  # upper limit of the edges that one particle looks at
+
+    @classmethod
+    def upload(cls, context: cl.Context, table: OutlineTable, n_parts: int) -> DeviceTable:
+        """Copy the table to the device."""
+        per_cell = np.diff(table.starts).reshape(n_parts, -1)
+        longest = LANES * int(per_cell.max(axis=1).sum())
+        arrays = (table.blocks, table.starts, table.lists)
+        blocks, starts, lists = (constant(context, a) for a in arrays)
+        return cls(blocks, starts, lists, table.across, n_parts, longest)
+
+    @property
+    def arguments(self) -> tuple[KernelArgument, ...]:
+        """As the kernels take them."""
+        return np.int32(self.n_parts), self.blocks, self.starts, self.lists, np.int32(self.across)
+
+
+class CpuOutline:
+    """Scores batches on a CPU device."""
+
+    def __init__(self, queue: cl.CommandQueue, table: DeviceTable) -> None:
+        self._queue, self._table = queue, table
+        options = [f"-D{name}={value}" for name, value in CONSTANTS.items()]
+        program = build(queue.context, "lanes.cl", "sorting.cl", "outline_cpu.cl", options=options)
+        self._score = cl.Kernel(program, "score")
+        self._score_shifts = cl.Kernel(program, "score_shifts")
+        self._groups = queue.device.max_compute_units
+        self._memory: tuple[tuple[int, int], cl.Buffer, int] | None = None
+
+    def score(
+        self, transforms: cl.Buffer, n: int, prefix: cl.Buffer, n_maps: int, shape: tuple[int, int], out: cl.Buffer
+    ) -> None:
+        """Write (n, n_maps) int64 scores to ``out``."""
+        height, width = shape
+        memory, each = self._scratch(shape)
+        sizes = (np.int32(n_maps), np.int32(width), np.int32(height))
+        tail = (out, memory, np.int32(each), self._counter())
+        self._launch(self._score, transforms, np.int32(n), *self._table.arguments, prefix, *sizes, *tail)
+
+    def score_shifts(
+        self,
+        transforms: cl.Buffer,
+        n: int,
+        prefix: cl.Buffer,
+        first: int,
+        prefix_width: int,
+        grid: tuple[int, int],
+        canvas: tuple[int, int],
+        out: cl.Buffer,
+    ) -> None:
+        """Write (n, *grid) int64 scores to ``out``; see the kernel for ``first`` and the table's layout."""
+        memory, each = self._scratch(canvas)
+        numbers = (first, prefix_width, *grid, canvas[1], canvas[0])
+        tail = (out, memory, np.int32(each), self._counter())
+        head = (transforms, np.int32(n), *self._table.arguments, prefix)
+        self._launch(self._score_shifts, *head, *(np.int32(v) for v in numbers), *tail)
+
+    def _launch(self, kernel: cl.Kernel, *arguments: KernelArgument) -> None:
+        kernel(self._queue, (self._groups,), (1,), *arguments)
+
+    def _counter(self) -> cl.Buffer:
+        return constant(self._queue.context, np.zeros(1, np.int32))
+
+    def _scratch(self, shape: tuple[int, int]) -> tuple[cl.Buffer, int]:
+        """Scratch memory for images of this shape, and the numbers (int32) of one work-item."""
+        if self._memory is None or self._memory[0] != shape:
+            each = scratch_size(*shape)
+            size = 4 * each * self._groups
+            self._memory = shape, cl.Buffer(self._queue.context, cl.mem_flags.READ_WRITE, size), each
+        return self._memory[1:]
+
+
+def scratch_size(height: int, width: int) -> int:
+    """Numbers (int32) that ``take_scratch`` in the kernel hands out, rounded up to whole cache lines."""
+    c = CONSTANTS
+    bands = -(-height // LANES)
+    slots = (bands * c["BAND_STRIDE"] + c["KEPT"] * c["TALL"]) * LANES
+    ends = bands * LANES + (bands + LANES) // LANES * LANES
+    lists = 4 * c["KEPT"] + 2 * (c["KEPT"] * c["TALL"] + LANES)
+    found = (c["TALL_SLOTS"] + c["SHORT_SLOTS"] + 2) * LANES
+    return -(-(slots + ends + lists + found) // 32) * 32
+
+
+def unresolved(scores: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Which rows of (N, ...) scores had no room."""
+    return np.flatnonzero((scores.reshape(len(scores), -1) == NO_ROOM).any(axis=1))
