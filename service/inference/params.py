@@ -22,9 +22,10 @@ class FilterParams:
 
     preset: Literal["balanced", "paper"] = "balanced"
     """Where every other default comes from. `paper` is the published method, nothing else."""
-    method: Literal["tempered", "bootstrap"] = "tempered"
+    method: Literal["importance", "tempered", "bootstrap"] = "importance"
     """`bootstrap`: resample, jitter, weigh, once a frame (the paper). `tempered`: approach the frame's likelihood in
-    steps and move the particles after each."""
+    steps, resample and move the particles after each. `importance`: adapt a proposal to each mode, tempered likewise,
+    and draw the particles from it with their exact weights."""
     particles: int = 1000
     """Particles carried from frame to frame."""
     seed: int = 0
@@ -32,13 +33,13 @@ class FilterParams:
     resampler: Literal["multinomial", "systematic", "stratified", "residual"] = "systematic"
     """`multinomial` is the paper's Eq. 6."""
     target_ess: float = 0.5
-    """Tempering goes on as fast as the effective sample size stays at this share of the particles."""
+    """`tempered`: the likelihood is approached as fast as the effective sample size stays at this share."""
     moves: int = 6
-    """Least number of tempering steps with a move in each frame."""
+    """`tempered`: least number of steps with a move in each frame."""
     acquisition_particles: int = 6000
     """Rotations that are tried when nothing is known."""
     acquisition_moves: int = 4
-    """Least number of tempering steps with a move when acquiring."""
+    """`tempered`: least number of steps with a move when acquiring."""
 
     def __post_init__(self) -> None:
         _require(1 <= self.particles <= 10_000_000, "particles must be between 1 and 10,000,000")
@@ -135,9 +136,33 @@ class CameraParams:
 
     psf_sigma_px: float | None = None
     """Width of the point spread (Gaussian sigma); estimated from the frames where it is not given."""
+    mount: Literal["equatorial", "altaz"] = "equatorial"
+    """What `up_angle_deg` counts from: north, or the zenith (the field then rotates among the stars)."""
+    up_angle_deg: float | None = None
+    """From north (`equatorial`) or the zenith (`altaz`) to the image's up direction, in the sense north through east
+    (anticlockwise on the sky). A frame's `position_angle_deg` goes before it. Without either no attitude is given."""
+    mirrored: bool = False
+    """The image is a mirror image of the sky (an odd number of reflections)."""
+    equinox: Literal["J2000", "date"] = "J2000"
+    """What right ascension, declination and position angle refer to: `date` is the true equator of date."""
+    pixel_scale_arcsec: float | None = None
+    """Of one pixel on the sky: takes the object's place in the image into account."""
+    site_latitude_deg: float | None = None
+    """Geodetic; needed for azimuth and elevation, and for an `altaz` mount."""
+    site_longitude_deg: float | None = None
+    """East of Greenwich."""
+    ser_byte_order: Literal["auto", "little", "big"] = "auto"
+    """Of 16-bit SER files: their own flag is wrong in most, so `auto` looks at the pixels."""
 
     def __post_init__(self) -> None:
         _require(self.psf_sigma_px is None or 0 < self.psf_sigma_px <= 100, "psf_sigma_px must lie in (0, 100]")
+        scale, latitude, longitude = self.pixel_scale_arcsec, self.site_latitude_deg, self.site_longitude_deg
+        _require(scale is None or 0 < scale <= 3600, "pixel_scale_arcsec must lie in (0, 3600]")
+        _require(self.up_angle_deg is None or abs(self.up_angle_deg) <= 360, "up_angle_deg must be within 360")
+        _require(latitude is None or abs(latitude) <= 90, "site_latitude_deg must be within 90")
+        _require(longitude is None or abs(longitude) <= 360, "site_longitude_deg must be within 360")
+        _require((latitude is None) == (longitude is None), "a site has a latitude and a longitude")
+        _require(self.mount == "equatorial" or latitude is not None, "an altaz mount needs the site")
 
 
 @dataclass(frozen=True)

@@ -108,6 +108,7 @@ class PoseEstimate:
     position: Array  # (2,) px
     scale: float  # px per model unit
     joints: Array  # (J,)
+    rotation_rate: Array | None = None  # (3,) rad/s against the camera, in body axes; None: unknown
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from service.inference.params import SessionConfig
 from service.inference.resample import RESAMPLERS
 from service.inference.state import Array, Estimate, FilterState, Frame, Outcome, Poses
 from service.inference.symmetry import Symmetry, refold, unfold
-from service.inference.tracking import tempered_update
+from service.inference.tracking import track
 from service.inference.weights import normalise
 
 ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
@@ -44,7 +44,7 @@ def step(
     if config.filter.method == "bootstrap":
         outcome, twins = bootstrap_update(rng, state, frame, score, config, domain), ()
     else:
-        outcome = tempered_update(rng, one_of_twins(state, twins, domain), frame, score_maps, config, domain, twins)
+        outcome = track(rng, one_of_twins(state, twins, domain), frame, score_maps, config, domain, twins)
     estimate = summarise(outcome, frame.measurement.log_background, twins, domain)
     poses, rates = unfold(outcome.poses, outcome.rates, twins, domain)
     new_state = FilterState(

@@ -1,0 +1,210 @@
+"""The posterior as a sum of modes, each drawn by adaptive importance sampling.
+
+Every mode is predicted as a Gaussian in the tangent space of its mean, poses and rates together (Kotecha and Djuric,
+*Gaussian sum particle filtering*, 2003). A few rounds of draws move a proposal from the prediction onto
+prediction x likelihood^beta, beta as large as a target effective sample size allows (Cappe et al., *Population Monte
+Carlo*, 2004; Bugallo et al., *Adaptive importance sampling*, 2017). The last draws, with their exact weights, are the
+particles: no random walk has to find its way, and the weights' mean is the mode's evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from service.inference.modes import Metric, short_way
+from service.inference.pose import concatenate, local, retract
+from service.inference.state import Array, Poses
+from service.inference.weights import effective_sample_size, log_sum_exp
+
+Score = Callable[[Poses], Array]
+
+ROUND_DRAWS = 150
+MOST_ROUNDS = 20
+ROUND_ESS = 0.25  # of a round's draws
+INFLATION = 1.3  # of the proposal's covariance, so that its tails are not lighter than the target's
+TAIL = 8.0  # degrees of freedom of the last draws' Student t
+LEAST_PARTICLES = 40  # of a mode
+_LADDER = 0.75 ** np.arange(40.0)  # exponents tried, as shares of the last
+
+
+@dataclass(frozen=True)
+class Component:
+    """One mode's prediction: pose Gaussian about ``mean``, the rate given the pose Gaussian too."""
+
+    log_weight: float
+    mean: Poses  # one
+    covariance: Array  # (d, d) tangent space at ``mean``
+    rate_mean: Array  # (d,)
+    rate_slope: Array  # (d, d): expected rate at x is rate_mean + rate_slope x
+    rate_factor: Array  # (d, d): A of the conditional covariance A A^T
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Weighted particles of one or more modes."""
+
+    poses: Poses
+    rates: Array
+    log_likelihood: Array
+    log_weights: Array  # (N,) not normalised: their sum is the evidence
+    memory: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)  # what the next frame should know
+
+
+def join(a: Draws, b: Draws) -> Draws:
+    """Both sets of particles as one."""
+    return Draws(
+        concatenate(a.poses, b.poses),
+        np.concatenate([a.rates, b.rates]),
+        np.concatenate([a.log_likelihood, b.log_likelihood]),
+        np.concatenate([a.log_weights, b.log_weights]),
+        a.memory,
+    )
+
+
+def component(
+    poses: Poses, rates: Array, weights: Array, origin: Poses, metric: Metric, log_weight: float, least: Array
+) -> Component:
+    """The Gaussian of predicted (poses, rates), weights summing to 1; ``least`` (d,) deviations are added to it."""
+    x = short_way(local(origin, poses), metric)
+    centre = weights @ x
+    mean = retract(origin, centre[None])
+    x = x - centre
+    v = rates - weights @ rates
+    covariance = np.einsum("n,ni,nj->ij", weights, x, x) + np.diag(least**2)
+    slope = np.linalg.solve(covariance, np.einsum("n,ni,nj->ij", weights, x, v)).T
+    rest = np.einsum("n,ni,nj->ij", weights, v, v) - slope @ covariance @ slope.T
+    return Component(log_weight, mean, covariance, weights @ rates, slope, _factor(rest))
+
+
+def _factor(covariance: Array) -> Array:
+    """A with A A^T the nearest positive semi-definite matrix to ``covariance``."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Where a mode's draws come from: tangent space of the component's mean."""
+
+    mean: Array  # (d,)
+    factor: Array  # (d, d) Cholesky factor
+
+
+def adapt(rng: np.random.Generator, part: Component, score: Score, exponent: float) -> tuple[Proposal, float]:
+    """Move the proposal from the prediction onto the posterior; also the log evidence as the last round sees it."""
+    prior = prediction(part)
+    proposal, log_evidence, previous = prior, 0.0, 0.0
+    for _ in range(MOST_ROUNDS):
+        x = proposal.mean + rng.standard_normal((ROUND_DRAWS, len(prior.mean))) @ proposal.factor.T
+        poses = retract(part.mean, x)
+        log_likelihood = score(poses)
+        base = log_density(prior, x) - log_density(proposal, x)
+        beta = steepest_exponent(base, log_likelihood, exponent)
+        log_weights = base + beta * log_likelihood
+        weights = np.exp(log_weights - np.max(log_weights))
+        weights /= weights.sum()
+        log_evidence = log_sum_exp(base + exponent * log_likelihood) - np.log(len(x))
+        mean = weights @ x
+        covariance = INFLATION * np.einsum("n,ni,nj->ij", weights, x - mean, x - mean)
+        # Few effective draws underestimate the width in some direction: keep a little of the old one.
+        covariance += 0.05 * proposal.factor @ proposal.factor.T + 1e-9 * part.covariance
+        proposal = Proposal(mean, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+        if beta >= exponent and previous >= exponent:
+            break
+        previous = beta
+    return proposal, float(log_evidence)
+
+
+def steepest_exponent(base: Array, log_likelihood: Array, exponent: float) -> float:
+    """The largest beta of a falling ladder for which enough of a round's draws count, else the one with most.
+
+    A ladder and not a root: the proposal was made for some beta of the round before, so the effective sample size
+    rises towards that beta and falls beyond it.
+    """
+    ladder = exponent * _LADDER
+    sizes = [effective_sample_size(base + beta * log_likelihood) / len(base) for beta in ladder]
+    enough = [beta for beta, size in zip(ladder, sizes, strict=True) if size >= ROUND_ESS]
+    return float(enough[0] if enough else ladder[int(np.argmax(sizes))])
+
+
+def prediction(part: Component) -> Proposal:
+    """The mode's own prediction as a proposal."""
+    factor = np.asarray(np.linalg.cholesky(part.covariance), dtype=np.float64)
+    return Proposal(np.zeros(len(part.covariance)), factor)
+
+
+def log_density(gaussian: Proposal, x: Array) -> Array:
+    """(N,) log density of a Gaussian, less the constant -d/2 log(2 pi) that all here share."""
+    z = np.linalg.solve(gaussian.factor, (x - gaussian.mean).T)
+    return np.asarray(-0.5 * np.sum(z * z, axis=0) - np.sum(np.log(np.diag(gaussian.factor))))
+
+
+def draw(
+    rng: np.random.Generator,
+    part: Component,
+    proposal: Proposal,
+    score: Score,
+    exponent: float,
+    count: int,
+) -> Draws:
+    """``count`` particles of a mode from a Student t about the proposal, with their weights."""
+    d = len(part.covariance)
+    z = rng.standard_normal((count, d))
+    stretch = np.sqrt(TAIL / rng.chisquare(TAIL, count))[:, None]
+    x = proposal.mean + (z * stretch) @ proposal.factor.T
+    poses = retract(part.mean, x)
+    log_likelihood = score(poses)
+    square = np.sum((z * stretch) ** 2, axis=1)
+    log_t = log_t_constant(d) - 0.5 * (TAIL + d) * np.log1p(square / TAIL) - np.sum(np.log(np.diag(proposal.factor)))
+    log_weights = part.log_weight + log_density(prediction(part), x) + exponent * log_likelihood - log_t - np.log(count)
+    rates = part.rate_mean + x @ part.rate_slope.T + rng.standard_normal((count, d)) @ part.rate_factor.T
+    return Draws(poses, rates, log_likelihood, log_weights)
+
+
+def log_t_constant(d: int) -> float:
+    """Log constant of the d-variate Student t, less the Gaussian's -d/2 log(2 pi)."""
+    return float(gammaln(0.5 * (TAIL + d)) - gammaln(0.5 * TAIL) - 0.5 * d * np.log(TAIL / 2))
+
+
+def posterior(rng: np.random.Generator, parts: Sequence[Component], score: Score, exponent: float, count: int) -> Draws:
+    """``count`` weighted particles over all modes, shared out by the modes' evidence."""
+    adapted = [adapt(rng, part, score, exponent) for part in parts]
+    log_shares = np.array([part.log_weight + evidence for part, (_, evidence) in zip(parts, adapted, strict=True)])
+    counts = share_out(np.exp(log_shares - log_sum_exp(log_shares)), count)
+    draws = [
+        draw(rng, part, proposal, score, exponent, int(n))
+        for part, (proposal, _), n in zip(parts, adapted, counts, strict=True)
+        if n > 0
+    ]
+    return Draws(
+        concatenate(*(d.poses for d in draws)),
+        np.concatenate([d.rates for d in draws]),
+        np.concatenate([d.log_likelihood for d in draws]),
+        np.concatenate([d.log_weights for d in draws]),
+        {"surprise": surprise_of(parts, adapted, log_shares)},
+    )
+
+
+def surprise_of(
+    parts: Sequence[Component], adapted: Sequence[tuple[Proposal, float]], log_shares: Array
+) -> NDArray[np.float64]:
+    """How far the heaviest mode ended from its prediction: mean square per coordinate, in predicted variances.
+
+    Doubled, because the frame and the prediction decide about half each: 1 is what is to be expected.
+    """
+    top = int(np.argmax(log_shares))
+    z = np.linalg.solve(prediction(parts[top]).factor, adapted[top][0].mean)
+    return np.asarray(2.0 * np.mean(z * z), dtype=np.float64)
+
+
+def share_out(shares: Array, count: int) -> NDArray[np.intp]:
+    """(K,) whole numbers that sum to ``count``, about as ``shares``; a small mode gets ``LEAST_PARTICLES``."""
+    least = min(LEAST_PARTICLES, count // len(shares))
+    counts = least + np.floor(shares * (count - least * len(shares))).astype(np.intp)
+    counts[int(np.argmax(shares))] += count - counts.sum()
+    return np.asarray(counts, dtype=np.intp)

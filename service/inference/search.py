@@ -1,0 +1,51 @@
+"""The whole space searched: starts placed on the evidence, the most promising refined on their own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.inference.acquisition import Evidence, place
+from service.inference.domain import Domain
+from service.inference.islands import Islands, refine, scatter, strongest
+from service.inference.mixture import Component
+from service.inference.state import Array
+from service.inference.symmetry import fold
+from service.inference.update import Update
+
+STAGES = ((64, 4, 24), (16, 5, 40), (6, 6, 60))  # islands, rounds, draws per round
+IN_PLAY_NATS = 12.0  # a basin whose peak lies further below the best, after the exponent, gets no particles
+
+
+def search_islands(update: Update, evidence: Evidence) -> Islands:
+    """The basins whose peaks the frame's likelihood leaves in play, one of each set of twins, best first."""
+    domain, metric = update.domain, update.metric
+    poses = place(update.rng, domain, evidence, update.score_maps, update.config.filter.acquisition_particles)
+    islands = scatter(poses, update.score(poses), metric, STAGES[0][0], search_reach(domain))
+    for count, rounds, draws in STAGES:
+        islands = strongest(islands, metric, count)
+        islands = refine(update.rng, islands, update.score, domain.contains, rounds, draws)
+    top = int(np.argmax(islands.log_likelihood))
+    folded, _ = fold(
+        islands.best, np.zeros((len(islands), domain.n_tangent)), update.twins, domain, islands.best[top : top + 1]
+    )
+    islands = strongest(Islands(folded, islands.log_likelihood, islands.mean, islands.covariance), metric, len(islands))
+    exponent = update.config.likelihood.exponent
+    in_play = exponent * (islands.log_likelihood - islands.log_likelihood.max()) > -IN_PLAY_NATS
+    return islands[np.flatnonzero(in_play)]
+
+
+def search_reach(domain: Domain) -> Array:
+    """(6 + J,) standard deviation with which an island starts: about the distance between placed starts."""
+    least, greatest = domain.joint_bounds
+    side = 0.012 * min(domain.width, domain.height)
+    return np.array([0.12, 0.12, 0.12, side, side, 0.08, *(0.06 * (greatest - least))])
+
+
+def island_components(update: Update, islands: Islands, log_weight: float) -> list[Component]:
+    """Each island as a mode that may be anywhere within the search's reach, with rates of which nothing is known."""
+    d = update.domain.n_tangent
+    reach = np.diag(search_reach(update.domain) ** 2)
+    rates = np.diag(np.sqrt(update.rates.variance))
+    share = log_weight - float(np.log(len(islands)))
+    alone = [islands.best[np.array([k])] for k in range(len(islands))]
+    return [Component(share, best, reach, np.zeros(d), np.zeros((d, d)), rates) for best in alone]

@@ -1,0 +1,77 @@
+"""What the parts of one frame's update share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.domain import Domain
+from service.inference.modes import Metric, metric_of
+from service.inference.motion import RateFilter, rate_filter
+from service.inference.params import SessionConfig
+from service.inference.state import Array, FilterState, Frame, Poses
+from service.inference.symmetry import Symmetry
+
+ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
+
+MOST_SURPRISE = 3.0
+
+
+@dataclass(frozen=True)
+class Update:
+    """One frame, the state before it, and how to go about it."""
+
+    rng: np.random.Generator
+    state: FilterState | None
+    frame: Frame
+    score_maps: ScoreMaps
+    config: SessionConfig
+    domain: Domain
+    twins: Sequence[Symmetry]
+
+    @cached_property
+    def maps(self) -> NDArray[np.float32]:
+        """(1, H, W): one array, so that the scorer knows it again."""
+        return self.frame.measurement.log_ratio[None]
+
+    @cached_property
+    def light(self) -> float:
+        """Sum of the map's positive part: what a silhouette could explain at most."""
+        return float(np.sum(np.maximum(self.frame.measurement.log_ratio, 0.0)))
+
+    @cached_property
+    def metric(self) -> Metric:
+        """How far apart two poses of one mode may be."""
+        return metric_of(self.domain.articulation)
+
+    @property
+    def dt_s(self) -> float:
+        """Time since the last frame."""
+        return 1e-3 if self.state is None else max(self.frame.time_s - self.state.time_s, 1e-3)
+
+    def score(self, poses: Poses) -> Array:
+        """(N,) the particle term of Eq. 4; poses outside of the prior's bounds explain none of the light."""
+        return np.where(self.domain.contains(poses), self.score_maps(poses, self.maps)[:, 0], -self.light - 1.0)
+
+    def recall(self, name: str, otherwise: Array | float) -> Array:
+        """Something remembered from earlier frames."""
+        if self.state is None or name not in self.state.memory:
+            return np.asarray(otherwise, dtype=np.float64)
+        return np.asarray(self.state.memory[name], dtype=np.float64)
+
+    @cached_property
+    def rates(self) -> RateFilter:
+        """What earlier frames tell of the rates of a particle, given its path."""
+        known = None
+        if self.state is not None and "rate_variance" in self.state.memory:
+            known = self.recall("rate_variance", 0.0)
+        return rate_filter(self.config.motion, self.domain, known)
+
+    @property
+    def surprise(self) -> float:
+        """How much further than predicted the poses have been lately, 1 or more: the prediction widens with it."""
+        return float(np.clip(np.sqrt(self.recall("surprise", 1.0)), 1.0, MOST_SURPRISE))
