@@ -31,7 +31,8 @@ from service.imaging.overlay import draw_overlay, encode_png
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
-from service.inference.state import Array, Frame, Measurement, PoseEstimate, Poses
+from service.inference.rotation_rate import rotation_rate
+from service.inference.state import Array, Estimate, FilterState, Frame, Measurement, PoseEstimate, Poses
 from service.inference.step import step
 from service.inference.symmetry import Symmetry
 from service.models.articulations import read_joints
@@ -168,6 +169,7 @@ class Tracker:
             lambda: draw_silhouette(mesh, articulation, best, (height, width)),
         )
         state = replace(state, memory=kept)
+        estimate = with_rotation_rates(estimate, state, job)
         done = time.perf_counter()
         timing = {
             "decode": decoded - began,
@@ -212,18 +214,24 @@ class TimedScorer:
     def __init__(self, scorer: Scorer, articulation: Articulation) -> None:
         self._scorer, self._articulation = scorer, articulation
         self.seconds = 0.0
-        self._maps: NDArray[np.float32] | None = None
-        self._layers: list[NDArray[np.float32]] = []
 
     def __call__(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
         """(N poses, (K, H, W) maps) -> (N, K)."""
         transforms = part_transforms(self._articulation, poses)
         began = time.perf_counter()
-        if self._maps is not maps:
-            self._maps, self._layers = maps, [np.ascontiguousarray(layer) for layer in maps]
-        scores = np.stack([self._scorer.score(transforms, layer) for layer in self._layers], axis=1)
+        scores = self._scorer.score_many(transforms, maps)
         self.seconds += time.perf_counter() - began
         return scores
+
+
+def with_rotation_rates(estimate: Estimate, state: FilterState, job: FrameJob) -> Estimate:
+    """The estimate with the rates of its poses, from the second frame on of a filter that has rates."""
+    if job.state is None or job.config.motion.kind != "constant_velocity":
+        return estimate
+    mean, best = (
+        replace(pose, rotation_rate=rotation_rate(state, pose.quaternion)) for pose in (estimate.mean, estimate.best)
+    )
+    return replace(estimate, mean=mean, best=best)
 
 
 def draw_silhouette(
