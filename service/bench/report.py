@@ -27,9 +27,14 @@ OVERALL_COLUMNS = (
     *("scale_med", "joint_med", "iou_med", "cover50", "cover90", "blank_ok", "reacquired", "twins_reported"),
     *("first_ms", "ms_med"),
 )
+_MOST_COLUMNS = 4
 _TEXT = ("preset", "case", "says")
 _SHORT = {
+    "acquired1": "acq1",
+    "acquired10": "acq10",
     "err_med": "med",
+    "err_worst": "worst",
+    "reacquired": "reacq",
     "err_p95": "p95",
     "within5": "in5",
     "modes5": "m5",
@@ -59,23 +64,29 @@ def overall_columns(total: Sequence[Row]) -> tuple[str, ...]:
 
 def case_table(rows: Sequence[Row]) -> Table:
     """A line per pass, for a wide terminal."""
-    table = Table(title="each pass", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for name in CASE_COLUMNS:
-        justify: JustifyMethod = "left" if name in _TEXT else "right"
-        table.add_column(_SHORT.get(name, name), justify=justify, no_wrap=True)
-    for row in rows:
-        table.add_row(*(_cell(row, name) for name in CASE_COLUMNS))
-    return table
+    return _table("each pass", rows, CASE_COLUMNS)
 
 
 def overall_table(total: Sequence[Row]) -> Table:
-    """A column per preset, a line per figure."""
+    """A column per preset and a line per figure; the other way round where the presets are many."""
+    if len(total) > _MOST_COLUMNS:
+        return _table("over all passes", total, OVERALL_COLUMNS)
     table = Table(title="over all passes", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("")
     for row in total:
         table.add_column(str(row["preset"]), justify="right")
     for name in OVERALL_COLUMNS[1:]:
         table.add_row(name, *(_cell(row, name) for row in total))
+    return table
+
+
+def _table(title: str, rows: Sequence[Row], columns: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for name in columns:
+        justify: JustifyMethod = "left" if name in _TEXT else "right"
+        table.add_column(_SHORT.get(name, name), justify=justify, no_wrap=True)
+    for row in rows:
+        table.add_row(*(_cell(row, name) for name in columns))
     return table
 
 

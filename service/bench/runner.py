@@ -19,6 +19,7 @@ from service.workers.base import BackgroundJob, FrameJob, FrameReport
 from service.workers.tracker import Tracker, content_key
 
 _PNG = "image/png"
+_WARM_PARTICLES = 64
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,19 @@ class _Session:
 
     def track(self, tracker: Tracker, index: int, time_s: float, body: bytes) -> FrameReport:
         """One frame as the service would run it."""
+        report = tracker.track(self._job(self.config, index, time_s, body))
+        self.state, self.scorer = report.state, report.scorer
+        return report
+
+    def warm_up(self, tracker: Tracker, body: bytes) -> None:
+        """Let the tracker prepare device and caches, on a frame whose answer is thrown away."""
+        few = replace(self.config.filter, particles=_WARM_PARTICLES, acquisition_particles=_WARM_PARTICLES)
+        tracker.track(self._job(replace(self.config, filter=few), 0, 0.0, body))
+
+    def _job(self, config: SessionConfig, index: int, time_s: float, body: bytes) -> FrameJob:
         model = self.case.model
-        job = FrameJob(
-            config=self.config,
+        return FrameJob(
+            config=config,
             model=model.key,
             file_type=model.file_type,
             articulation=model.articulation,
@@ -73,9 +84,6 @@ class _Session:
             blobs=self.blobs,
             twins=model.twins if self.entry.twins else (),
         )
-        report = tracker.track(job)
-        self.state, self.scorer = report.state, report.scorer
-        return report
 
 
 def run_case(
@@ -98,6 +106,8 @@ def run_case(
             snr.append(sky.snr(body, whole_pixels(real)))
             size_px.append(2 * case.model.mesh.radius * truth.scale)
         for session in sessions:
+            if index == 0:
+                session.warm_up(tracker, body)
             began = time.perf_counter()
             report = session.track(tracker, index, truth.time_s, body)
             ms = 1e3 * (time.perf_counter() - began)

@@ -4,7 +4,9 @@
 from frame 1, 5, 10 on. The other figures are over the frames from the tenth visible one on (all, in a shorter pass):
 ``err_med``, ``err_p95``; ``within5``, ``modes5``: share of frames in which the best pose, the nearest mode, is off
 by less than 5 degrees; ``pos_med`` (px), ``scale_med`` (%), ``joint_med`` (degrees), ``iou_med``; ``cover50``,
-``cover90``: share of frames in which the nearest mode's error lies within its own 50 and 90 % radius; ``ms_med``.
+``cover90``: share of frames in which the nearest mode's error lies within its own 50 and 90 % radius; ``ms_med``,
+``ms_p95``: time per frame, from the image file to the answer. ``first_ms``: the same of the first frame that shows the
+object, the model being prepared.
 ``blank_ok``: share of the frames without the object that are answered ``no_target``; ``reacquired``: frames after
 the last of them until a mode is within 5 degrees. ``twins_reported``: share of frames that report both sides of a
 mirror-symmetric body within 5 degrees.

@@ -51,7 +51,7 @@ def track(
         names, bodies = tuple(case or ()), tuple(mesh or ())
         selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames)
         entries = entries_of(preset or ["balanced", "paper"], settings or ())
-        run_benchmark(selection, entries, limit, Output(command_line(), json, report))
+        run_benchmark(selection, entries, limit, Output("Tracking", command_line(), json, report))
 
 
 @bench.command()
@@ -78,7 +78,7 @@ def ablate(
         names, bodies = tuple(case or ()), tuple(mesh or ())
         selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames)
         entries = variant_entries(variant or (), settings or ())
-        run_benchmark(selection, entries, limit, Output(command_line(), json, report))
+        run_benchmark(selection, entries, limit, Output("Each choice switched off", command_line(), json, report))
 
 
 @contextmanager

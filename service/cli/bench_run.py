@@ -51,7 +51,7 @@ class Selection:
         """What is measured, in a line."""
         if self.passes:
             return f"{self.passes} simulated passes drawn at random (seed {self.seed})"
-        return f"Sequences of {self.folder.name if self.folder else ''}"
+        return f"folder {self._folder.name}"
 
     @property
     def count(self) -> int:
@@ -83,6 +83,7 @@ class Selection:
 class Output:
     """Where the figures go, beside the terminal."""
 
+    title: str
     command: str
     json: Path | None
     report: Path | None
@@ -154,7 +155,7 @@ def _write(
         (output.report / "rows.json").write_bytes(data)
         write_frames(results, output.report / "frames.csv")
         plots = write_plots(results, rows, output.report)
-        page = markdown_report(selection.title, output.command, machine, rows, total, plots)
+        page = markdown_report(f"{output.title}: {selection.title}", output.command, machine, rows, total, plots)
         (output.report / "report.md").write_text(page)
 
 

@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from service.bench.ablation import VARIANTS
+from service.bench.report import CASE_COLUMNS
 from service.cli import app
 from service.cli.bench_run import entries_of, read_settings, variant_entries
 
@@ -88,3 +89,9 @@ def test_settings_reach_every_session_and_variants_win():
     assert not found["twins"].twins
     changed = [entry for entry in found.values() if (entry.config, entry.twins) != (found["default"].config, True)]
     assert len(changed) == len(VARIANTS) - 1
+
+
+def test_every_variant_and_column_is_documented(root):
+    text = (root / "docs" / "benchmarks.md").read_text()
+    for name in [*(variant.name for variant in VARIANTS[1:]), *CASE_COLUMNS[2:]]:
+        assert f"`{name}`" in text
