@@ -32,6 +32,9 @@ from service.workers.base import (
 CUBE = b"cube"
 """A model file that the fake takes: one joint, ``panel``."""
 
+RATE = np.array([0.01, -0.02, 0.03])
+"""Rotation rate of every pose against the camera, rad/s, body axes."""
+
 
 class FakeWorker:
     """Implements ``service.workers.base.Worker``."""
@@ -141,6 +144,7 @@ def summary(state: FilterState) -> Estimate:
         state.poses.position[best],
         float(np.exp(state.poses.log_scale[best])),
         state.poses.joints[best],
+        RATE,
     )
     spread = Spread(1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.1, np.ones(n_joints), np.eye(6 + n_joints))
     ess = float(1 / np.sum(weights**2))

@@ -3,24 +3,38 @@
 from __future__ import annotations
 
 import asyncio
-import csv
 import io
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import orjson
 from fastapi import APIRouter, Path, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.api import schemas
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
-from service.errors import InputError
-from service.sessions.archive import EVERYTHING, particle_arrays
+from service.exports.formats import FORMATS
+from service.sessions.archive import particle_arrays
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["estimates"])
-EXPORT_FORMATS = ("csv",)
 NPZ = "application/x-npz"
 Index = Annotated[int, Path(ge=0, le=2**53)]
+
+
+class ExportQuery(BaseModel):
+    """What to export, and how the object is called there."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    format: Literal["aem", "apm", "stk", "czml", "csv", "npz"] = "csv"
+    """CCSDS AEM or APM 2.0 (KVN), STK attitude file, CZML, or a table of every estimate."""
+    pose: Literal["best", "mean"] = "best"
+    """Which of an estimate's poses."""
+    object_name: Annotated[str, Field(max_length=200)] | None = None
+    """By default the session's name, or else its id."""
+    object_id: Annotated[str, Field(max_length=200)] = "UNKNOWN"
+    """International designator, YYYY-NNNP."""
 
 
 @router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422))
@@ -81,25 +95,16 @@ async def read_particles(
 @router.get(
     "/export",
     response_class=Response,
-    responses={200: {"content": {"text/csv": {}}}, **problems(404, 422)},
+    responses={200: {"content": {kind.media_type: {} for kind in FORMATS.values()}}, **problems(404, 409, 422)},
 )
-async def export(
-    session_id: str,
-    services: ServicesDep,
-    format: Annotated[str, Query(description="csv")] = "csv",  # noqa: A002
-) -> Response:
-    """The attitude history as a file."""
-    if format not in EXPORT_FORMATS:
-        raise InputError(
-            f"format {format!r} is none of {', '.join(EXPORT_FORMATS)}",
-            field="query:format",
-            supported=list(EXPORT_FORMATS),
-        )
-    names = await services.archive.joint_names(session_id)
-    found, _ = await services.archive.estimates(session_id, -1, EVERYTHING)
-    body = await asyncio.to_thread(_csv, found, names)
-    name = f'attachment; filename="{session_id}.csv"'
-    return Response(body, media_type="text/csv", headers={"Content-Disposition": name})
+async def export(session_id: str, services: ServicesDep, query: Annotated[ExportQuery, Query()]) -> Response:
+    """The attitude history as a file. `aem`, `apm`, `stk` and `czml` need frames with an absolute attitude."""
+    kind = FORMATS[query.format]
+    body = await services.archive.export(
+        session_id, query.format, query.pose, name=query.object_name, object_id=query.object_id
+    )
+    disposition = f'attachment; filename="{session_id}.{kind.suffix}"'
+    return Response(body, media_type=kind.media_type, headers={"Content-Disposition": disposition})
 
 
 def _npz(packed: bytes, index: int, names: tuple[str, ...]) -> bytes:
@@ -112,27 +117,6 @@ def _particles_json(packed: bytes, index: int, names: tuple[str, ...]) -> bytes:
     arrays = {name: np.ascontiguousarray(value) for name, value in particle_arrays(packed).items()}
     order = {"orientation_order": ["w", "x", "y", "z"], "joint_names": names}
     return orjson.dumps({"index": index, **order, **arrays}, option=orjson.OPT_SERIALIZE_NUMPY)
-
-
-def _csv(documents: list[bytes], joints: tuple[str, ...]) -> str:
-    buffer = io.StringIO()
-    pose = ("x_px", "y_px", "scale_px", "yaw_deg", "pitch_deg", "roll_deg")
-    writer = csv.writer(buffer)
-    writer.writerow(
-        ["index", "time", "status", "qw", "qx", "qy", "qz", *pose]
-        + [f"joint:{name}" for name in joints]
-        + ["orientation_spread_deg", "ess", "log_evidence"]
-    )
-    for estimate in map(orjson.loads, documents):
-        best = estimate["best"]
-        writer.writerow(
-            [estimate["index"], estimate["time"], estimate["status"]]
-            + [best["orientation"][axis] for axis in "wxyz"]
-            + [best[name] for name in pose]
-            + [best["joints"][name] for name in joints]
-            + [estimate["spread"]["orientation_deg"], estimate["ess"], estimate["log_evidence"]]
-        )
-    return buffer.getvalue()
 
 
 def _json(document: bytes) -> Response:

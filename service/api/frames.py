@@ -53,6 +53,11 @@ class FrameQuery(BaseModel):
     """Declination of the optical axis."""
     position_angle_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
     """Position angle of the image's up direction, from north through east."""
+    az_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
+    """Azimuth of the optical axis from north through east. With `el_deg` it goes before `ra_deg` and `dec_deg`, and
+    needs `time` and the session's `camera.site_latitude_deg` and `camera.site_longitude_deg`."""
+    el_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    """Elevation of the optical axis, without refraction."""
 
 
 FrameQueryDep = Annotated[FrameQuery, Query()]

@@ -8,13 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
 from pydantic.json_schema import WithJsonSchema
 
+from service.api.sky import Attitude, Camera
+from service.api.wire import Orientation, Wire
 from service.inference.params import SessionConfig
-
-
-class Wire(BaseModel):
-    """Base of the documents: unknown fields are refused."""
-
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 class Problem(BaseModel):
@@ -34,15 +30,6 @@ class Problem(BaseModel):
     """Which part of the request."""
 
 
-class Orientation(Wire):
-    """Unit quaternion, rotation body -> camera, w >= 0."""
-
-    w: float
-    x: float
-    y: float
-    z: float
-
-
 class Pose(Wire):
     """Body point X lands at scale_px * (R X)_xy + (x_px, y_px)."""
 
@@ -56,7 +43,7 @@ class Pose(Wire):
     """Pixels per model unit."""
     joints: dict[str, float]
     """Degrees (revolute) or model units (prismatic), of the estimated and the fixed joints."""
-    attitude: dict[str, Any] | None = None
+    attitude: Attitude | None = None
     """Absolute attitude, where the camera's is known."""
 
 
@@ -109,6 +96,8 @@ class Estimate(Wire):
     best: BestPose
     spread: FullSpread
     modes: list[Mode]
+    camera: Camera | None = None
+    """Where the camera's orientation is known."""
     particles: int
     ess: float
     log_evidence: float

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import TooLargeError
+from service.imaging.facts import NOTHING, FrameFacts
 from service.imaging.headers import ImageHeader, broken, read_header
 
 MAX_PIXELS = 1 << 26
@@ -85,3 +86,8 @@ def _frame(image: NDArray[np.generic], header: ImageHeader) -> Frame:
         image = image[:, :, 0] if header.channels == 1 or image.shape[2] == 1 else image[:, :, 2::-1]
     pixels: Pixels = np.ascontiguousarray(image)
     return Frame(pixels, pixels.dtype.itemsize * 8, 1 if pixels.ndim == 2 else 3)
+
+
+def read_facts(body: bytes, media_type: str) -> FrameFacts:
+    """Time and pointing that a file of one frame states; nothing where its format has no place for them."""
+    return NOTHING

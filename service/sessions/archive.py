@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 import orjson
 
 from service.errors import NotFoundError
+from service.exports.formats import Subject, export
+from service.exports.history import PoseName
 from service.inference.articulation import hold
 from service.inference.params import SessionConfig
 from service.inference.state import FilterState
@@ -85,6 +90,14 @@ class Archive:
         model, config = await self._setting(session_id)
         return JointNames.of(articulation_of(model), config).free
 
+    async def export(self, session_id: str, form: str, pose: PoseName, *, name: str | None, object_id: str) -> bytes:
+        """The history as a file. Raises ``ConflictError`` for an attitude format without any attitude."""
+        record = await self.database.read(sessions.get, session_id)
+        joints = await self.joint_names(session_id)
+        found, _ = await self.estimates(session_id, -1, EVERYTHING)
+        subject = Subject(name or record.name or session_id, object_id, joints, datetime.now(UTC))
+        return await asyncio.to_thread(_export, form, found, pose, subject)
+
     async def require_key(self, session_id: str, key: str) -> None:
         """Say what is missing: the session, or a frame with this key."""
         await self.database.read(sessions.get, session_id)
@@ -97,6 +110,10 @@ class Archive:
 
     async def _blob(self, key: str) -> bytes:
         return await self.database.read(models.get_blob, key)
+
+
+def _export(form: str, documents: Sequence[bytes], pose: PoseName, subject: Subject) -> bytes:
+    return export(form, [orjson.loads(document) for document in documents], pose, subject)
 
 
 def particle_arrays(packed: bytes) -> dict[str, Any]:

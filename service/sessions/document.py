@@ -14,6 +14,7 @@ from service.inference.articulation import Articulation, hold
 from service.inference.params import SessionConfig
 from service.inference.pose import yaw_pitch_roll_deg
 from service.inference.state import Estimate, PoseEstimate, Spread
+from service.sessions.absolute import View, attitude_document, camera_document
 from service.workers.base import PackedFrameReport
 
 
@@ -31,8 +32,13 @@ class JointNames:
         return cls(tuple(joint.name for joint in estimated.joints), dict(config.joints.fixed))
 
 
-def estimate_document(session_id: str, index: int, time: str, names: JointNames, report: PackedFrameReport) -> bytes:
-    """The answer to a frame as JSON bytes. Raises ``SkyposeError`` if a number in it is not finite."""
+def estimate_document(
+    session_id: str, index: int, time: str, names: JointNames, report: PackedFrameReport, view: View | None = None
+) -> bytes:
+    """The answer to a frame as JSON bytes; ``view`` is the camera among the stars, where it is known.
+
+    Raises ``SkyposeError`` if a number in it is not finite.
+    """
     estimate = report.estimate
     data = {
         "session_id": session_id,
@@ -40,9 +46,9 @@ def estimate_document(session_id: str, index: int, time: str, names: JointNames,
         "time": time,
         "status": estimate.status,
         "duplicate": False,
-        "mean": _pose(estimate.mean, names),
+        "mean": _pose(estimate.mean, names, view, estimate.spread),
         "best": {
-            **_pose(estimate.best, names),
+            **_pose(estimate.best, names, view),
             "log_likelihood": float(estimate.best_log_likelihood),
         },
         "spread": {
@@ -53,7 +59,8 @@ def estimate_document(session_id: str, index: int, time: str, names: JointNames,
                 *(f"joint:{name}" for name in names.free),
             ],
         },
-        **_population(estimate, names),
+        **_population(estimate, names, view),
+        "camera": None if view is None else camera_document(view),
         "timing_ms": {name: round(float(value), 3) for name, value in report.timing_ms.items()},
         "scorer": report.scorer,
     }
@@ -66,12 +73,12 @@ def as_duplicate(document: bytes) -> bytes:
     return orjson.dumps({**orjson.loads(document), "duplicate": True})
 
 
-def _population(estimate: Estimate, names: JointNames) -> dict[str, Any]:
+def _population(estimate: Estimate, names: JointNames, view: View | None) -> dict[str, Any]:
     return {
         "modes": [
             {
                 "weight": float(mode.weight),
-                "pose": _pose(mode.pose, names),
+                "pose": _pose(mode.pose, names, view),
                 "spread": _spread(mode.spread, names),
             }
             for mode in estimate.modes
@@ -82,7 +89,7 @@ def _population(estimate: Estimate, names: JointNames) -> dict[str, Any]:
     }
 
 
-def _pose(pose: PoseEstimate, names: JointNames) -> dict[str, Any]:
+def _pose(pose: PoseEstimate, names: JointNames, view: View | None, spread: Spread | None = None) -> dict[str, Any]:
     w, x, y, z = (pose.quaternion if pose.quaternion[0] >= 0 else -pose.quaternion).tolist()
     yaw, pitch, roll = yaw_pitch_roll_deg(pose.quaternion).tolist()
     return {
@@ -94,7 +101,7 @@ def _pose(pose: PoseEstimate, names: JointNames) -> dict[str, Any]:
         "y_px": float(pose.position[1]),
         "scale_px": float(pose.scale),
         "joints": {**_named(names.free, pose.joints.tolist()), **names.fixed},
-        "attitude": None,
+        "attitude": None if view is None else attitude_document(view, pose, spread),
     }
 
 

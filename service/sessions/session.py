@@ -9,12 +9,16 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 
+import orjson
 import structlog
 
 from service.errors import IdempotencyKeyError, NoBackgroundError
+from service.imaging.decode import read_facts
+from service.imaging.facts import FrameFacts
 from service.inference.articulation import Articulation
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
+from service.sessions.absolute import View
 from service.sessions.document import JointNames, as_duplicate, estimate_document
 from service.sessions.frame import (
     Answer,
@@ -29,6 +33,7 @@ from service.sessions.frame import (
 from service.sessions.hub import Hub
 from service.sessions.inbox import Inbox
 from service.sessions.library import twins_of
+from service.sessions.pointings import Pointings
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, ModelRecord, Retention, SessionRecord
 from service.store.database import Database
@@ -71,6 +76,7 @@ class Session:
         self._config = config
         self._names = JointNames.of(articulation, config)
         self._state = state
+        self._pointings = Pointings(config.camera)
 
     def submit(self, frame: FrameIn) -> asyncio.Future[Answer]:
         """Queue a frame. The future holds the answer once it is committed."""
@@ -92,9 +98,20 @@ class Session:
             return Answer(index, as_duplicate(document), duplicate=True)
         if record.background_key is None:
             raise NoBackgroundError("post a background image first", field="background")
+        facts = await asyncio.to_thread(read_facts, frame.body, frame.media_type)
+        frame = replace(frame, time=frame.time or facts.time)
         moment = frame_time(record, frame, self._config.motion.frame_interval_s)
+        view = await self._view(frame, facts, moment)
         report = await self._track(frame, record.background_key, moment.seconds)
-        return await self._commit(frame, moment, report)
+        return await self._commit(frame, moment, report, view)
+
+    async def _view(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> View | None:
+        """The camera at this frame, and how it turned since the frame before."""
+        record = self.record
+        if record.next_index > 0 and not self._pointings.started:  # restored: the store knows the frame before
+            document = await self._rooms.database.read(frames.estimate, record.id, record.next_index - 1)
+            self._pointings.resume(await asyncio.to_thread(orjson.loads, document))
+        return await asyncio.to_thread(self._pointings.view, record, frame, facts, moment)
 
     async def _track(self, frame: FrameIn, background: str, time_s: float) -> PackedFrameReport:
         job = FrameJob(
@@ -112,9 +129,9 @@ class Session:
         )
         return await self._rooms.engine.track(self.record.id, job, self._state, self._blob)
 
-    async def _commit(self, frame: FrameIn, moment: FrameTime, report: PackedFrameReport) -> Answer:
+    async def _commit(self, frame: FrameIn, moment: FrameTime, report: PackedFrameReport, view: View | None) -> Answer:
         index, text = self.record.next_index, format_time(moment.utc)
-        document = await asyncio.to_thread(estimate_document, self.record.id, index, text, self._names, report)
+        document = await asyncio.to_thread(estimate_document, self.record.id, index, text, self._names, report, view)
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(
             session_id=self.record.id,
@@ -137,6 +154,7 @@ class Session:
         seq = await self._rooms.database.write(frames.append, record, self._rooms.retention)
         self._observe(report, time.monotonic() - started)
         self._state = report.state
+        self._pointings.passed(view)
         self.record = replace(
             self.record,
             next_index=index + 1,

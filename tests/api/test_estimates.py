@@ -75,5 +75,7 @@ async def test_csv_export(api):
     latest = (await api.http.get(f"/v1/sessions/{session_id}/estimates/latest")).json()
     assert float(rows[2]["qw"]) == latest["best"]["orientation"]["w"]
     assert float(rows[2]["joint:panel"]) == latest["best"]["joints"]["panel"]
-    refused = await api.http.get(f"/v1/sessions/{session_id}/export?format=stk")
-    assert (refused.status_code, refused.json()["supported"]) == (422, ["csv"])
+    refused = await api.http.get(f"/v1/sessions/{session_id}/export?format=xls")
+    assert (refused.status_code, refused.json()["field"]) == (422, "query:format")
+    needs_attitude = await api.http.get(f"/v1/sessions/{session_id}/export?format=stk")
+    assert (needs_attitude.status_code, needs_attitude.json()["field"]) == (409, "query:format")

@@ -1,0 +1,43 @@
+"""The wire: absolute attitude, and the camera among the stars."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from service.api.wire import Orientation, Wire
+
+
+class Attitude(Wire):
+    """Rotation body -> GCRF. What is not known is left out."""
+
+    frame: Literal["GCRF"]
+    orientation: Orientation
+    angular_velocity_body_deg_s: list[float] | None = None
+    """Of the body against GCRF, along the body's axes; of `mean` and `best`, from the second frame on."""
+    angular_velocity_gcrf_deg_s: list[float] | None = None
+    """The same along the axes of GCRF."""
+    covariance_body_deg2: list[list[float]] | None = None
+    """Of a small rotation about the body's axes; of `mean`."""
+    covariance_gcrf_deg2: list[list[float]] | None = None
+    """The same about the axes of GCRF."""
+
+
+class EarthOrientation(Wire):
+    """The data behind azimuth and elevation."""
+
+    known: bool
+    """False where the moment lies outside of the installed data: UT1 = UTC was taken, good to 14 arcseconds."""
+    age_days: float
+    """From the newest measured value to the moment; negative where it was measured."""
+    ut1_utc_s: float
+
+
+class Camera(Wire):
+    """The camera among the stars."""
+
+    frame: Literal["GCRF"]
+    orientation: Orientation
+    """Rotation camera (x right, y down) -> GCRF. Of a mirrored image the z axis comes towards the observer."""
+    mirrored: bool
+    earth_orientation: EarthOrientation | None
+    """Null where the Earth's rotation was not needed."""
