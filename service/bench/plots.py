@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.bench.runner import CaseResult
 from service.bench.scoring import FrameScore
 from service.bench.summary import Row, radius_factor, settled
+from service.inference.state import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,8 +98,9 @@ def _error_distribution(results: Sequence[CaseResult], entries: Sequence[str]) -
         errors = np.full((len(mine), length), np.nan)
         for k, frames in enumerate(mine):
             errors[k, : len(frames)] = [max(frame.orientation_deg, _LEAST_DEG) for frame in frames]
-        times = [frame.time_s for frame in max(mine, key=len)]
-        low, middle, high = np.nanquantile(errors, (0.25, 0.5, 0.9), axis=0)
+        seen = np.any(np.isfinite(errors), axis=0)
+        times = np.array([frame.time_s for frame in max(mine, key=len)])[seen]
+        low, middle, high = np.nanquantile(errors[:, seen], (0.25, 0.5, 0.9), axis=0)
         panel.plot(times, middle, color=_COLOURS[colour % len(_COLOURS)], label=f"{entry}: median, 25 to 90 %")
         panel.fill_between(times, low, high, color=_COLOURS[colour % len(_COLOURS)], alpha=0.2, linewidth=0)
     _error_axis(panel)
@@ -122,8 +125,7 @@ def _success(rows: Sequence[Row], entries: Sequence[str], known: Sequence[str]) 
             x, y = (np.array([row[key] for row in mine], dtype=np.float64) for key in (name, "within5"))
             panel.plot(x, y, ".", color=_COLOURS[colour % len(_COLOURS)], alpha=0.5, label=entry)
             if len(mine) >= 2 * _BINS:
-                groups = np.array_split(np.argsort(x, kind="stable"), _BINS)
-                line = [(x[group].mean(), y[group].mean()) for group in groups]
+                line = [(x[group].mean(), y[group].mean()) for group in _groups(x)]
                 panel.plot(*zip(*line, strict=True), color=_COLOURS[colour % len(_COLOURS)])
         panel.set_xlabel(CONDITIONS[name])
         panel.set_ylabel("frames within 5 deg")
@@ -132,6 +134,15 @@ def _success(rows: Sequence[Row], entries: Sequence[str], known: Sequence[str]) 
             panel.set_xscale("log")
     axes[0].legend(fontsize=8)
     return figure
+
+
+def _groups(x: Array) -> list[NDArray[np.intp]]:
+    """Passes in groups of rising ``x``, of nearly equal size; those at the least value (no turbulence) are one."""
+    order = np.argsort(x, kind="stable")
+    least = int(np.count_nonzero(x == x.min()))
+    if least * _BINS <= len(x) or least == len(x):
+        return np.array_split(order, _BINS if least < len(x) else 1)
+    return [order[:least], *np.array_split(order[least:], min(_BINS - 1, len(x) - least))]
 
 
 def _coverage(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
