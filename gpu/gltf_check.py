@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 DEEPEST_NODE = 64
+TRIANGLE_FAN = 6
 UNSUPPORTED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 
@@ -28,7 +29,7 @@ def check_glb(data: bytes) -> str | None:
         return f"the JSON chunk cannot be read: {error}"
     if not isinstance(tree, dict):
         return "the JSON chunk is no object"
-    return _foreign_data(tree) or _bad_nodes(tree)
+    return _foreign_data(tree) or _triangle_fans(tree) or _bad_nodes(tree)
 
 
 def _entries(tree: Mapping[str, Any], key: str) -> Sequence[Mapping[str, Any]]:
@@ -46,6 +47,14 @@ def _foreign_data(tree: Mapping[str, Any]) -> str | None:
     for extension in UNSUPPORTED:
         if isinstance(required, list) and extension in required:
             return f"required extension {extension} is not supported; store the mesh uncompressed"
+    return None
+
+
+def _triangle_fans(tree: Mapping[str, Any]) -> str | None:
+    """Fans are left out by the reader, which would change the silhouette without a word."""
+    for i, mesh in enumerate(_entries(tree, "meshes")):
+        if any(primitive.get("mode") == TRIANGLE_FAN for primitive in _entries(mesh, "primitives")):
+            return f"mesh {i} has a triangle fan; only triangles and strips are read"
     return None
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +53,7 @@ def read_parts(data: bytes, file_type: str) -> list[RawPart]:
 def _scene(data: bytes, kind: str) -> trimesh.Scene:
     options: dict[str, Any] = {"process": False}
     if kind == "glb":
-        options |= {"merge_primitives": True, "skip_materials": True}
+        options["skip_materials"] = True
     try:
         return trimesh.load_scene(io.BytesIO(data), file_type=kind, **options)
     except Exception as error:  # whatever the parser trips over, the file is at fault
@@ -59,16 +61,34 @@ def _scene(data: bytes, kind: str) -> trimesh.Scene:
 
 
 def _nodes(scene: trimesh.Scene) -> list[tuple[str, NDArray[np.float64], NDArray[np.int64]]]:
-    found = []
+    """Name, vertices and faces per node; the primitives of a glTF node, which trimesh makes nodes of, together."""
+    found: dict[str, list[tuple[NDArray[np.float64], NDArray[np.int64]]]] = {}
     for node in scene.graph.nodes_geometry:
         matrix, geometry_name = scene.graph[node]
         geometry = scene.geometry[geometry_name]
         if not isinstance(geometry, trimesh.Trimesh):
             continue  # points and lines have no silhouette
         vertices = np.asarray(geometry.vertices, dtype=np.float64)
-        moved = vertices @ matrix[:3, :3].T + matrix[:3, 3]
-        found.append((str(node), moved, np.asarray(geometry.faces, dtype=np.int64).reshape(-1, 3)))
-    return found
+        with np.errstate(all="ignore"):  # what is not finite is refused below, by name
+            moved = vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        faces = np.asarray(geometry.faces, dtype=np.int64).reshape(-1, 3)
+        found.setdefault(_owner(scene, node), []).append((moved, faces))
+    return [(name, *_joined(pieces)) for name, pieces in found.items()]
+
+
+def _owner(scene: trimesh.Scene, node: str) -> str:
+    """The glTF node that a graph node belongs to: trimesh names a primitive's node after it, and six random letters."""
+    parent = scene.graph.transforms.parents.get(node)
+    is_primitive = parent not in scene.graph.nodes_geometry and re.fullmatch(rf"{re.escape(str(parent))}_\w{{6}}", node)
+    return str(parent) if is_primitive else str(node)
+
+
+def _joined(
+    pieces: Sequence[tuple[NDArray[np.float64], NDArray[np.int64]]],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    firsts = np.cumsum([0] + [len(vertices) for vertices, _ in pieces])
+    faces = [faces + first for (_, faces), first in zip(pieces, firsts, strict=False)]
+    return np.concatenate([vertices for vertices, _ in pieces]), np.concatenate(faces)
 
 
 def _checked(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> RawPart:

@@ -119,7 +119,7 @@ class OutlineScorer:
                 kernel.score_shifts(now, len(scores), prefix, first, width, size, canvas, out)
                 cl.enqueue_copy(self._queue, scores, out)
                 picked[batch] = grid.pick(scores, steps)
-        result = picked * unit
+        result = np.asarray(picked * unit, dtype=np.float64)
         crowded = unresolved(picked)
         if len(crowded):
             result[crowded] = self._score_one_by_one(transforms[crowded], log_ratio, steps)

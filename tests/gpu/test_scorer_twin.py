@@ -10,7 +10,17 @@ from gpu.device import find_devices
 from gpu.outline import OutlineScorer
 from gpu.reference import reference_scores, silhouette_mask
 
-MESHES = "grace_fo hubble iss mdlsat shuttle_orbiter shuttle_orbiter_lod suomi_npp tdrs topex_poseidon".split()
+MESHES = [
+    "grace_fo",
+    "hubble",
+    "iss",
+    "mdlsat",
+    "shuttle_orbiter",
+    "shuttle_orbiter_lod",
+    "suomi_npp",
+    "tdrs",
+    "topex_poseidon",
+]
 KERNELS = ("cpu", "gpu")
 
 
