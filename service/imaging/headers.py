@@ -40,8 +40,7 @@ def read_header(body: bytes, media_type: str) -> ImageHeader:
     Raises ``UnsupportedMediaTypeError``, or ``ImageError`` for a file that is empty, of another type than it
     says, cut short or damaged.
     """
-    kind = media_type.split(";")[0].strip().lower()
-    reader = _READERS.get(_ALIASES.get(kind, kind))
+    reader = _READERS.get(media_kind(media_type))
     if reader is None:
         supported = sorted(_READERS)
         raise UnsupportedMediaTypeError(
@@ -55,6 +54,12 @@ def read_header(body: bytes, media_type: str) -> ImageHeader:
     if header.width < 1 or header.height < 1:
         raise broken(f"the image has no pixels ({header.width} x {header.height})")
     return header
+
+
+def media_kind(media_type: str) -> str:
+    """A media type without parameters, in lower case, by its usual name."""
+    kind = media_type.split(";")[0].strip().lower()
+    return _ALIASES.get(kind, kind)
 
 
 def broken(detail: str) -> ImageError:
@@ -145,3 +150,4 @@ _READERS: Mapping[str, Callable[[bytes], ImageHeader]] = {
     "image/jpeg": _read_jpeg,
     "image/tiff": _read_tiff,
 }
+MEDIA_TYPES = tuple(_READERS)

@@ -1,0 +1,1 @@
+"""Observatory formats: FITS, NPY, ASCOM ImageBytes, SER, video."""
