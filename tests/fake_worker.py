@@ -10,13 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from service.errors import (
-    ImageError,
-    ImageMismatchError,
-    MeshFileError,
-    MissingBlobError,
-    UnsupportedMediaTypeError,
-)
+from service.errors import ImageMismatchError, MeshFileError, MissingBlobError
+from service.imaging.decode import decode_frame
 from service.inference.articulation import Articulation, Joint, Stage, hold
 from service.inference.state import Estimate, FilterState, Mode, PoseEstimate, Poses, Spread
 from service.workers.base import (
@@ -103,14 +98,7 @@ class SlowWorker(FakeWorker):
 
 
 def decode(body: bytes, media_type: str) -> np.ndarray:
-    if media_type != "image/png":
-        raise UnsupportedMediaTypeError("only PNG", field="header:Content-Type", supported=["image/png"])
-    image = None
-    if body.endswith(b"IEND\xaeB`\x82"):
-        image = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ImageError("the image is truncated", field="body")
-    return image
+    return decode_frame(body, media_type).image
 
 
 def drift(job: FrameJob, n_joints: int) -> FilterState:

@@ -20,13 +20,14 @@ from service.errors import InputError
 from service.sessions.frame import Answer, BackgroundIn, FrameIn
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["frames"])
+_MEDIA_TYPES = (
+    *("image/png", "image/tiff", "image/jpeg", "image/fits", "application/fits", "application/x-npy"),
+    *("application/imagebytes", "video/x-ser", "application/x-ser", "video/*"),
+)
 _IMAGE = {
     "requestBody": {
         "required": True,
-        "content": {
-            name: {"schema": {"type": "string", "format": "binary"}}
-            for name in ("image/png", "image/tiff", "image/jpeg")
-        },
+        "content": {name: {"schema": {"type": "string", "format": "binary"}} for name in _MEDIA_TYPES},
     }
 }
 _HEADERS = [

@@ -15,6 +15,10 @@ MEDIA_TYPES = {
     ".jpeg": "image/jpeg",
     ".tif": "image/tiff",
     ".tiff": "image/tiff",
+    ".fits": "image/fits",
+    ".fit": "image/fits",
+    ".fts": "image/fits",
+    ".npy": "application/x-npy",
 }
 
 

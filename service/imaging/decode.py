@@ -1,50 +1,62 @@
-"""Bytes of an image file -> pixels, with size limits checked in the header before anything is decoded."""
+"""Bytes of an image file -> pixels, with size limits checked in the header before anything is decoded.
+
+One table says which media type is read by what. The observatory's formats are imported when the first such file
+comes: astropy takes a second.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import TooLargeError
+from service.errors import UnsupportedMediaTypeError
 from service.imaging.facts import NOTHING, FrameFacts
-from service.imaging.headers import ImageHeader, broken, read_header
+from service.imaging.formats.imagebytes import read_imagebytes
+from service.imaging.formats.npy import read_npy
+from service.imaging.formats.ser import ByteOrder, read_ser, read_ser_times
+from service.imaging.formats.video import read_video
+from service.imaging.frame import MAX_PIXELS, Frame, Pixels, require_size
+from service.imaging.headers import MEDIA_TYPES, ImageHeader, broken, media_kind, read_header
 
-MAX_PIXELS = 1 << 26
-"""Default limit of the pixels in one body, all frames together."""
+__all__ = ["MAX_PIXELS", "ByteOrder", "Frame", "Pixels", "decode_frame", "decode_frames", "read_facts"]
 
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A decoded image: (H, W) grey or (H, W, 3) RGB, uint8 or uint16."""
-
-    image: Pixels
-    bits: int  # 8 or 16
-    channels: int  # 1 or 3
+FITS = ("image/fits", "application/fits")
+SER = ("video/x-ser", "application/x-ser")
 
 
-def decode_frame(body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS) -> Frame:
+def decode_frame(
+    body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS, ser_byte_order: ByteOrder = "auto"
+) -> Frame:
     """Decode a file that holds one image. Alpha is dropped, 16 bits are kept.
 
     Raises ``UnsupportedMediaTypeError``, ``TooLargeError``, or ``ImageError`` for a file that is broken, cut
     short, or holds several frames.
     """
-    header = _checked_header(body, media_type, max_pixels)
-    if header.frames != 1:
-        raise broken(f"the file holds {header.frames} frames where one is expected")
-    return _decode(body, header)
+    if media_kind(media_type) in MEDIA_TYPES:
+        header = _checked_header(body, media_type, max_pixels)
+        _require_one(header.frames)
+        return _decode(body, header)
+    frames = decode_frames(body, media_type, max_pixels=max_pixels, ser_byte_order=ser_byte_order)
+    _require_one(len(frames))
+    return frames[0]
 
 
-def decode_frames(body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS) -> tuple[Frame, ...]:
-    """Decode every frame of a file (TIFF can hold several). ``max_pixels`` counts all of them together.
+def decode_frames(
+    body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS, ser_byte_order: ByteOrder = "auto"
+) -> tuple[Frame, ...]:
+    """Decode every frame of a file. ``max_pixels`` counts all of them together.
 
     Raises as ``decode_frame`` does.
     """
+    kind = media_kind(media_type)
+    if kind in SER:
+        return tuple(read_ser(_some(body), max_pixels, ser_byte_order))
+    reader = _READERS.get("video/*" if kind.startswith("video/") else kind)
+    if reader is not None:
+        return tuple(reader(_some(body), max_pixels))
     header = _checked_header(body, media_type, max_pixels)
     if header.frames == 1:
         return (_decode(body, header),)
@@ -54,16 +66,57 @@ def decode_frames(body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS)
     return tuple(_frame(image, header) for image in images)
 
 
+def read_facts(body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS) -> FrameFacts:
+    """Time and pointing that a file states of its first frame, without decoding pixels.
+
+    Nothing where its format has no place for them. Raises as ``decode_frame`` does.
+    """
+    kind = media_kind(media_type)
+    if kind in FITS:
+        from service.imaging.formats.fits import read_fits_facts
+
+        return read_fits_facts(_some(body), max_pixels)
+    if kind in SER:
+        times = read_ser_times(_some(body))
+        return FrameFacts(times[0]) if times else NOTHING
+    return NOTHING
+
+
+def _read_fits(body: bytes, max_pixels: int) -> Sequence[Frame]:
+    from service.imaging.formats.fits import read_fits
+
+    return read_fits(body, max_pixels)
+
+
+_READERS: Mapping[str, Callable[[bytes, int], Sequence[Frame]]] = {
+    **dict.fromkeys(FITS, _read_fits),
+    "application/x-npy": read_npy,
+    "application/imagebytes": read_imagebytes,
+    "video/*": read_video,
+}
+SUPPORTED = tuple(sorted((*MEDIA_TYPES, *_READERS, *SER)))
+
+
+def _some(body: bytes) -> bytes:
+    if not body:
+        raise broken("the image is empty")
+    return body
+
+
+def _require_one(frames: int) -> None:
+    if frames != 1:
+        raise broken(f"the file holds {frames} frames where one is expected")
+
+
 def _checked_header(body: bytes, media_type: str, max_pixels: int) -> ImageHeader:
-    header = read_header(body, media_type)
-    pixels = header.width * header.height * header.frames
-    if pixels > max_pixels:
-        raise TooLargeError(
-            f"{header.frames} x {header.width} x {header.height} pixels exceed the limit of {max_pixels}",
-            field="body",
-            limit=max_pixels,
-            found=pixels,
+    if media_kind(media_type) not in MEDIA_TYPES:
+        raise UnsupportedMediaTypeError(
+            f"media type {media_type!r} is not one of {', '.join(SUPPORTED)}",
+            field="header:Content-Type",
+            supported=list(SUPPORTED),
         )
+    header = read_header(body, media_type)
+    require_size(header.frames, header.width, header.height, max_pixels)
     return header
 
 
@@ -86,8 +139,3 @@ def _frame(image: NDArray[np.generic], header: ImageHeader) -> Frame:
         image = image[:, :, 0] if header.channels == 1 or image.shape[2] == 1 else image[:, :, 2::-1]
     pixels: Pixels = np.ascontiguousarray(image)
     return Frame(pixels, pixels.dtype.itemsize * 8, 1 if pixels.ndim == 2 else 3)
-
-
-def read_facts(body: bytes, media_type: str) -> FrameFacts:
-    """Time and pointing that a file of one frame states; nothing where its format has no place for them."""
-    return NOTHING

@@ -77,6 +77,7 @@ class Archive:
             position=np.array([best["x_px"], best["y_px"]]),
             scale=best["scale_px"],
             joints=np.array([best["joints"][joint.name] for joint in articulation.joints], dtype=np.float64),
+            ser_byte_order=config.camera.ser_byte_order,
         )
         return await self._engine.overlay(job, self._blob)
 

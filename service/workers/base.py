@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,6 +128,7 @@ class OverlayJob:
     scale: float
     joints: NDArray[np.float64]  # (J,)
     blobs: Mapping[str, bytes] = field(default_factory=dict)
+    ser_byte_order: Literal["auto", "little", "big"] = "auto"
 
 
 class Worker(Protocol):

@@ -24,8 +24,8 @@ from gpu.reference import silhouette_mask
 from gpu.scorer import Scorer, open_scorer
 from service.errors import ConfigError, ImageMismatchError, MeshFileError, MissingBlobError
 from service.imaging.background import Background, Sky, derive, known_pixels, learn
+from service.imaging.decode import ByteOrder, decode_frame, decode_frames
 from service.imaging.decode import Frame as Image
-from service.imaging.decode import decode_frame, decode_frames
 from service.imaging.features import feature_spec
 from service.imaging.overlay import draw_overlay, encode_png
 from service.inference.articulation import Articulation, hold, part_transforms
@@ -116,7 +116,9 @@ class Tracker:
     def learn_background(self, job: BackgroundJob) -> BackgroundReport:
         """Decode an image, or every frame of a file, and add it to the background."""
         background = None if job.background is None else Background.from_bytes(job.background)
-        for image in decode_frames(job.body, job.media_type, max_pixels=self._max_pixels):
+        for image in decode_frames(
+            job.body, job.media_type, max_pixels=self._max_pixels, ser_byte_order=job.config.camera.ser_byte_order
+        ):
             if background is not None:
                 _require_same(image, background.shape, background.bits)
             height, width = image.image.shape[:2]
@@ -133,7 +135,7 @@ class Tracker:
     def track(self, job: FrameJob) -> FrameReport:
         """Decode a frame, measure it, and run one step of the filter."""
         began = time.perf_counter()
-        image = decode_frame(job.body, job.media_type, max_pixels=self._max_pixels)
+        image = self._image(job.body, job.media_type, job.config.camera.ser_byte_order)
         likelihood = job.config.likelihood
         key = f"{job.background}:{likelihood.feature}:{likelihood.gradient_sigma_px}"
         sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
@@ -182,7 +184,7 @@ class Tracker:
 
     def overlay(self, job: OverlayJob) -> bytes:
         """PNG of the frame with the silhouette in blue."""
-        image = decode_frame(job.body, job.media_type, max_pixels=self._max_pixels)
+        image = self._image(job.body, job.media_type, job.ser_byte_order)
         mesh = self._mesh(job.model, job.file_type, job.blobs)
         pose = PoseEstimate(job.quaternion, job.position, job.scale, job.joints)
         height, width = image.image.shape[:2]
@@ -203,6 +205,9 @@ class Tracker:
         self._meshes.clear()
         self._skies.clear()
         self._twins.clear()
+
+    def _image(self, body: bytes, media_type: str, ser_byte_order: ByteOrder) -> Image:
+        return decode_frame(body, media_type, max_pixels=self._max_pixels, ser_byte_order=ser_byte_order)
 
     def _mesh(self, key: str, file_type: str, blobs: Mapping[str, bytes]) -> Mesh:
         return self._meshes.get(key, lambda: _load(_blob(blobs, key), file_type))
