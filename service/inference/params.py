@@ -66,7 +66,7 @@ class LikelihoodParams:
     """What is measured in each pixel; `auto` takes colour where the frames have it."""
     gradient_sigma_px: float = 1.0
     """Scale of the derivative image for `gradient`."""
-    exponent: float = 0.05
+    exponent: float = 0.07
     """Power of the likelihood: neighbouring pixels are not independent. 1 is the paper's product over pixels."""
     covered_empty_nats: float = 1.0
     """`contrast`: price of one pixel of background under the silhouette."""
