@@ -75,6 +75,17 @@ async def read_overlay(session_id: str, index: Index, services: ServicesDep) -> 
 
 
 @router.get(
+    "/estimates/{index}/frame.fits",
+    response_class=Response,
+    responses={200: {"content": {"image/fits": {}}}, **problems(404, 409, 410, 422)},
+)
+async def read_frame_fits(session_id: str, index: Index, services: ServicesDep) -> Response:
+    """The frame as it was sent, with its best pose in `POSE_*` cards; of frames that came as FITS."""
+    body = await services.archive.frame_fits(session_id, index)
+    return Response(body, media_type="image/fits", headers={"Cache-Control": "private, max-age=86400"})
+
+
+@router.get(
     "/particles",
     response_class=Response,
     responses={200: {"content": {"application/json": {}, NPZ: {}}}, **problems(404, 410, 422)},

@@ -18,6 +18,7 @@ from service.inference.params import SessionConfig
 from service.inference.state import FilterState
 from service.sessions import config as session_config
 from service.sessions.document import JointNames
+from service.sessions.frame_fits import frame_fits
 from service.sessions.library import articulation_of
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, SessionRecord
@@ -80,6 +81,11 @@ class Archive:
             ser_byte_order=config.camera.ser_byte_order,
         )
         return await self._engine.overlay(job, self._blob)
+
+    async def frame_fits(self, session_id: str, index: int) -> bytes:
+        """A frame's FITS file with its pose. Raises ``ConflictError`` for another format, ``GoneError``."""
+        body, media_type = await self.database.read(frames.body, session_id, index)
+        return await asyncio.to_thread(frame_fits, body, media_type, await self.estimate(session_id, index))
 
     async def particles(self, session_id: str, index: int | None) -> tuple[int, bytes, tuple[str, ...]]:
         """Frame, packed state and joint names of a particle set. Raises ``GoneError`` where it is not kept."""

@@ -104,3 +104,25 @@ async def test_the_documentation_lists_every_media_type(api):
     paths = (await api.http.get("/openapi.json")).json()["paths"]
     listed = paths["/v1/sessions/{session_id}/frames"]["post"]["requestBody"]["content"]
     assert sorted(listed) == sorted(SUPPORTED)
+
+
+async def test_the_frame_comes_back_with_its_pose(api):
+    session_id = await api.session()
+    await post(api, session_id, "image/fits", "background")
+    best = (await post(api, session_id, "image/fits")).json()["best"]
+    await post(api, session_id, "image/png")
+    answer = await api.http.get(f"/v1/sessions/{session_id}/estimates/0/frame.fits")
+    assert answer.headers["content-type"] == "image/fits"
+    with fits.open(io.BytesIO(answer.content)) as found, fits.open(io.BytesIO(BODIES["image/fits"])) as sent:
+        found.verify("exception")
+        np.testing.assert_array_equal(found[0].data, sent[0].data)
+        cards = [[str(card) for card in file[0].header.cards] for file in (found, sent)]
+        assert cards[0][: len(cards[1])] == cards[1]
+        header = found[0].header
+    assert [header[f"POSE_Q{a}"] for a in "WXYZ"] == pytest.approx([best["orientation"][a] for a in "wxyz"], abs=1e-12)
+    gcrf = best["attitude"]["orientation"]
+    assert [header[f"POSE_G{a}"] for a in "WXYZ"] == pytest.approx([gcrf[a] for a in "wxyz"], abs=1e-12)
+    assert (header["POSE_IDX"], header["POSE_X"]) == (0, pytest.approx(best["x_px"]))
+    other = await api.http.get(f"/v1/sessions/{session_id}/estimates/1/frame.fits")
+    assert other.status_code == 409
+    assert (await api.http.get(f"/v1/sessions/{session_id}/estimates/9/frame.fits")).status_code == 404
