@@ -28,6 +28,7 @@ ESTABLISHED_FRAMES = 3  # frames of support in a row before a track is called on
 SUPPORT_FLOOR = 0.3  # share of the frame's light that the best silhouette must explain
 SUPPORT_DROP = 0.6  # of the track's own usual support; below it the whole space is searched again
 FADE = 0.85  # of the running averages, per frame
+RENEW_FRAMES = 10  # a track is held against a search of the whole space this often
 MOST_MODES = 8
 LEAST_MODE = 1e-4  # a mode that holds less is not followed
 NEWCOMER = 0.01  # prior weight of what a renewed search finds beside a track
@@ -46,8 +47,9 @@ def track(
     """One frame of the default filter.
 
     Follows the modes there are. Searches the whole space where there are none, where the track is not yet
-    established, or where the image does not support it any more; what the search finds elsewhere stands beside the
-    track with the weight that its evidence gives it.
+    established, where the image does not support it any more, and now and then in any case: a wrong mode can explain
+    the first frames as well as the right one. What a search finds elsewhere stands beside the track with the weight
+    that its evidence gives it.
     """
     update = Update(rng, state, frame, score_maps, config, domain, twins)
     evidence = find_evidence(frame.measurement.log_ratio)
@@ -56,7 +58,8 @@ def track(
     known = float(update.recall("age", 0.0)) > 0
     established = state is not None and state.status == "tracking"
     draws = follow(update) if known else None
-    if draws is None or not established or not supported(update, draws):
+    renew = known and float(update.recall("age", 0.0)) % RENEW_FRAMES == 0
+    if draws is None or not established or renew or not supported(update, draws):
         draws = search(update, evidence, draws)
     if float(np.max(draws.log_likelihood)) <= 0.0:
         return unseen(update)
