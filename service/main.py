@@ -23,6 +23,7 @@ from service.api.submissions import Submissions
 from service.metrics import Metrics
 from service.sessions.admission import Admission
 from service.sessions.archive import Archive
+from service.sessions.batch import Batches
 from service.sessions.checkpoint import Checkpoints
 from service.sessions.hub import Hub
 from service.sessions.library import Library
@@ -87,6 +88,7 @@ def _build(settings: Settings, engine: Engine, database: Database) -> Services:
         library=library,
         archive=Archive(database, engine),
         checkpoints=Checkpoints(database, registry, library),
+        batches=Batches(registry, engine),
         status=Status(database, engine),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),
         submissions=Submissions(),

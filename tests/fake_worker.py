@@ -12,6 +12,7 @@ import numpy as np
 
 from service.errors import ImageMismatchError, MeshFileError, MissingBlobError
 from service.imaging.decode import decode_frame
+from service.imaging.split import SplitFrame, split_frames
 from service.inference.articulation import Articulation, Joint, Stage, hold
 from service.inference.state import Estimate, FilterState, Mode, PoseEstimate, Poses, Spread
 from service.workers.base import (
@@ -23,6 +24,7 @@ from service.workers.base import (
     ModelReport,
     OverlayJob,
 )
+from service.workers.splitting import SplitJob
 
 CUBE = b"cube"
 """A model file that the fake takes: one joint, ``panel``."""
@@ -62,6 +64,9 @@ class FakeWorker:
         known["frames"] += 1
         height, width = image.shape[:2]
         return BackgroundReport(json.dumps(known).encode(), known["frames"], height, width, 1, 8)
+
+    def split(self, job: SplitJob) -> tuple[SplitFrame, ...]:
+        return split_frames(job.body, job.media_type, ser_byte_order=job.ser_byte_order)
 
     def track(self, job: FrameJob) -> FrameReport:
         self.blobs.update(job.blobs)

@@ -13,6 +13,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from service.api import schemas
+from service.api.batches import stream_batch
 from service.api.bodies import idempotency_key, media_type, read_body, wants_async
 from service.api.paging import problems
 from service.api.services import Services, ServicesDep
@@ -164,6 +165,8 @@ async def _take(
         time=query.time,
         query=query.model_dump(mode="json", exclude_none=True),
     )
+    if await services.batches.is_batch(body, frame.media_type):
+        return await stream_batch(services, session_id, frame, in_background)
     owner = await services.registry.get(session_id)
     answer = owner.submit(frame)
     if in_background and key is not None:

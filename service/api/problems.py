@@ -23,8 +23,8 @@ def problem_type(kind: type[SkyposeError]) -> str:
     return _PREFIX + kind.slug
 
 
-def problem_response(error: SkyposeError) -> Response:
-    """The answer to a call that raised ``error``."""
+def problem_document(error: SkyposeError) -> dict[str, Any]:
+    """RFC 9457 of an error."""
     body: dict[str, Any] = {
         **error.facts,
         "type": problem_type(type(error)),
@@ -34,8 +34,13 @@ def problem_response(error: SkyposeError) -> Response:
     }
     if error.field is not None:
         body["field"] = error.field
+    return body
+
+
+def problem_response(error: SkyposeError) -> Response:
+    """The answer to a call that raised ``error``."""
     headers = {"Retry-After": str(error.retry_after_s)} if isinstance(error, BusyError) else {}
-    return _response(error.status, body, headers)
+    return _response(error.status, problem_document(error), headers)
 
 
 def install(app: FastAPI) -> None:

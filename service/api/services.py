@@ -13,6 +13,7 @@ from service.api.submissions import Submissions
 from service.metrics import Metrics
 from service.sessions.admission import Admission
 from service.sessions.archive import Archive
+from service.sessions.batch import Batches
 from service.sessions.checkpoint import Checkpoints
 from service.sessions.hub import Hub
 from service.sessions.library import Library
@@ -32,6 +33,7 @@ class Services:
     library: Library
     archive: Archive
     checkpoints: Checkpoints
+    batches: Batches
     status: Status
     admission: Admission
     submissions: Submissions

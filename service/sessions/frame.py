@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from service.errors import FrameConflictError, FrameGapError, IdempotencyKeyError, InputError
+from service.imaging.facts import FrameFacts
 from service.store.base import SessionRecord, StoredFrame
 
 
@@ -23,6 +24,7 @@ class FrameIn:
     idempotency_key: str | None = None
     time: datetime | None = None
     query: Mapping[str, Any] = field(default_factory=dict)
+    facts: FrameFacts | None = None  # of a frame out of a larger file; None: the body says what there is to say
 
 
 @dataclass(frozen=True)

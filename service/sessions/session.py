@@ -98,7 +98,9 @@ class Session:
             return Answer(index, as_duplicate(document), duplicate=True)
         if record.background_key is None:
             raise NoBackgroundError("post a background image first", field="background")
-        facts = await asyncio.to_thread(read_facts, frame.body, frame.media_type)
+        facts = frame.facts
+        if facts is None:
+            facts = await asyncio.to_thread(read_facts, frame.body, frame.media_type)
         frame = replace(frame, time=frame.time or facts.time)
         moment = frame_time(record, frame, self._config.motion.frame_interval_s)
         view = await self._view(frame, facts, moment)

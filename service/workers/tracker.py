@@ -28,6 +28,7 @@ from service.imaging.decode import ByteOrder, decode_frame, decode_frames
 from service.imaging.decode import Frame as Image
 from service.imaging.features import feature_spec
 from service.imaging.overlay import draw_overlay, encode_png
+from service.imaging.split import SplitFrame, split_frames
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
@@ -48,6 +49,7 @@ from service.workers.base import (
     OverlayJob,
 )
 from service.workers.observation import observe, remember
+from service.workers.splitting import SplitJob
 
 V = TypeVar("V")
 PACKAGES = (
@@ -131,6 +133,10 @@ class Tracker:
         assert background is not None, "decode_frames yields at least one frame"
         height, width, channels = background.shape
         return BackgroundReport(background.to_bytes(), background.n_frames, height, width, channels, background.bits)
+
+    def split(self, job: SplitJob) -> tuple[SplitFrame, ...]:
+        """Every frame of a file as a file of its own."""
+        return split_frames(job.body, job.media_type, max_pixels=self._max_pixels, ser_byte_order=job.ser_byte_order)
 
     def track(self, job: FrameJob) -> FrameReport:
         """Decode a frame, measure it, and run one step of the filter."""

@@ -35,7 +35,7 @@ def read_fits(body: bytes, max_pixels: int) -> Sequence[Frame]:
     with _first_image(body, max_pixels) as hdu:
         header, shape = hdu.header, tuple(int(n) for n in hdu.shape)
         colour = _is_colour(shape, header)
-        frames = int(np.prod(shape[: -3 if colour else -2], dtype=np.int64))
+        frames = _count(shape, colour)
         require_size(frames, shape[-1], shape[-2], max_pixels)
         data = np.asarray(hdu.data).reshape(frames, *shape[-3 if colour else -2 :])
         images = np.moveaxis(data, 1, -1) if colour else data
@@ -49,6 +49,13 @@ def read_fits_facts(body: bytes, max_pixels: int) -> FrameFacts:
     """Time and pointing of the first frame, from the header alone. Raises as ``read_fits`` does."""
     with _first_image(body, max_pixels) as hdu:
         return _facts(hdu.header, tuple(int(n) for n in hdu.shape))
+
+
+def count_fits_frames(body: bytes, max_pixels: int) -> int:
+    """Frames of the first image, from the header alone. Raises as ``read_fits`` does."""
+    with _first_image(body, max_pixels) as hdu:
+        shape = tuple(int(n) for n in hdu.shape)
+        return _count(shape, _is_colour(shape, hdu.header))
 
 
 @contextmanager
@@ -103,6 +110,10 @@ def _is_colour(shape: tuple[int, ...], header: fits.Header) -> bool:
     if len(shape) > 4 or (len(shape) == 4 and shape[1] not in (1, 3)):
         raise broken(f"FITS: an image with {len(shape)} axes {shape[::-1]} is unknown")
     return len(shape) >= 3 and shape[-3] == 3 and "TIME" not in str(header.get("CTYPE3", "")).upper()
+
+
+def _count(shape: tuple[int, ...], colour: bool) -> int:
+    return int(np.prod(shape[: -3 if colour else -2], dtype=np.int64))
 
 
 def _top_down(header: fits.Header) -> bool:

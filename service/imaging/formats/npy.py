@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,8 +13,37 @@ from service.imaging.frame import Frame, as_frame, require_size
 from service.imaging.headers import broken
 
 
+@dataclass(frozen=True)
+class _Layout:
+    frames: int
+    height: int
+    width: int
+    colour: bool
+    dtype: np.dtype[Any]
+    fortran: bool
+    start: int
+    shape: tuple[int, ...]
+
+
 def read_npy(body: bytes, max_pixels: int) -> Sequence[Frame]:
     """Every frame. Raises ``ImageError`` (also for arrays of objects), ``TooLargeError``."""
+    layout = _read_layout(body)
+    require_size(layout.frames, layout.width, layout.height, max_pixels)
+    size = layout.dtype.itemsize * int(np.prod(layout.shape, dtype=np.int64))
+    data = body[layout.start : layout.start + size]
+    if len(data) < size:
+        raise broken("NPY: the file is cut short")
+    array = np.frombuffer(data, layout.dtype).reshape(layout.shape, order="F" if layout.fortran else "C")
+    colour = (3,) if layout.colour else ()
+    return [as_frame(image) for image in array.reshape(layout.frames, layout.height, layout.width, *colour)]
+
+
+def count_npy_frames(body: bytes) -> int:
+    """Frames that the header states. Raises ``ImageError``."""
+    return _read_layout(body).frames
+
+
+def _read_layout(body: bytes) -> _Layout:
     stream = io.BytesIO(body)
     try:
         version = np.lib.format.read_magic(stream)
@@ -23,14 +54,8 @@ def read_npy(body: bytes, max_pixels: int) -> Sequence[Frame]:
     if dtype.hasobject or dtype.kind not in "biuf":
         raise broken(f"NPY: {dtype} is no type of number")
     colour = len(shape) in (3, 4) and shape[-1] == 3
-    plane = shape[-3:-1] if colour else shape[-2:]
-    if len(shape) - 2 - colour not in (0, 1):
+    axes = len(shape) - colour
+    if axes not in (2, 3):
         raise broken(f"NPY: an array of shape {shape} is neither an image nor a sequence of images")
-    frames = shape[0] if len(shape) - 2 - colour else 1
-    require_size(frames, plane[1], plane[0], max_pixels)
-    size = dtype.itemsize * int(np.prod(shape, dtype=np.int64))
-    data = body[stream.tell() : stream.tell() + size]
-    if len(data) < size:
-        raise broken("NPY: the file is cut short")
-    array = np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
-    return [as_frame(image) for image in array.reshape(frames, *plane, *((3,) if colour else ()))]
+    height, width = shape[-3:-1] if colour else shape[-2:]
+    return _Layout(shape[0] if axes == 3 else 1, height, width, colour, dtype, fortran, stream.tell(), shape)

@@ -1,0 +1,36 @@
+"""The answer to a body of several frames: newline-delimited JSON, one estimate per line as soon as it is stored."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+
+import orjson
+import structlog
+from starlette.responses import StreamingResponse
+
+from service.api.problems import problem_document
+from service.api.services import Services
+from service.errors import InputError, SkyposeError
+from service.sessions.frame import Answer, FrameIn
+
+NDJSON = "application/x-ndjson"
+log = structlog.get_logger(__name__)
+
+
+async def stream_batch(services: Services, session_id: str, whole: FrameIn, in_background: bool) -> StreamingResponse:
+    """Raises what the first frame is refused for; a later refusal is the last line, as a problem document."""
+    if in_background:
+        raise InputError("a file of several frames is answered as it is tracked", field="header:Prefer")
+    answers = services.batches.track(session_id, whole)
+    first = await anext(answers)
+    return StreamingResponse(_lines(first, answers), media_type=NDJSON)
+
+
+async def _lines(first: Answer, answers: AsyncIterator[Answer]) -> AsyncIterator[bytes]:
+    yield first.document + b"\n"
+    try:
+        async for answer in answers:
+            yield answer.document + b"\n"
+    except SkyposeError as error:
+        log.info("batch ended", problem=error.slug)
+        yield orjson.dumps(problem_document(error)) + b"\n"
