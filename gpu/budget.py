@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import pyopencl as cl
+
 LARGEST_BATCH_BYTES = 256 << 20  # more gains nothing: the device is busy long before
 SHARE_OF_DEVICE = 0.125
 
@@ -14,6 +18,12 @@ def batch_size(bytes_per_particle: int, device_bytes: int, largest_allocation: i
     """
     allowed = min(LARGEST_BATCH_BYTES, int(device_bytes * SHARE_OF_DEVICE), largest_allocation)
     return max(1, allowed // bytes_per_particle)
+
+
+def batches(device: cl.Device, n: int, bytes_per_particle: int) -> Iterator[slice]:
+    """Slices of n particles, each of which fits."""
+    size = batch_size(bytes_per_particle, device.global_mem_size, device.max_mem_alloc_size)
+    return (slice(start, min(start + size, n)) for start in range(0, n, size))
 
 
 def group_count(compute_units: int, per_unit: int, bytes_per_group: int, device_bytes: int, largest: int) -> int:

@@ -35,7 +35,7 @@ class OutlineTable:
     across: int  # cells along a side of a cube face
 
 
-def build_table(mesh: Mesh, hidden_pieces: HiddenPieces | None, across: int = 24) -> OutlineTable:
+def build_table(mesh: Mesh, hidden_pieces: HiddenPieces | None, across: int = 16) -> OutlineTable:
     """Cluster the outline edges of every part; ``hidden_pieces`` says which pieces a cell need not draw."""
     across = min(across, max(1, int(np.sqrt(LARGEST_TABLE / (3 * max(1, 3 * mesh.n_faces // 2))))))
     blocks: list[NDArray[np.float32]] = []

@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.budget import batch_size
+from gpu.budget import batches
 from gpu.clusters import build_table
 from gpu.device import DeviceReport, open_device
-from gpu.errors import DeviceLostError, ImageSizeError, ScorerError
+from gpu.errors import ImageSizeError, ScorerError
+from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
 from gpu.occlusion import Occlusion
 from gpu.outline_cpu import CpuOutline, DeviceTable, unresolved
 from gpu.outline_gpu import GpuOutline
 from gpu.prefix import MapCache
-from gpu.program import constant
+from gpu.program import constant, device_errors
 from gpu.shifts import ShiftGrid
 
-Floats = NDArray[np.float64]
-Transforms = NDArray[np.float32]
-Map = NDArray[np.float32]
-
 LARGEST_SIDE = 8191  # rows and columns have 13 bits in the kernels
-LEAST_BYTES = 48  # of one part's transform
+TRANSFORM_BYTES = 48
 
 
-class OutlineScorer:
+class OutlineScorer(LoopingScorer):
     """Scores on one OpenCL device. Owned, used and closed by one thread.
 
     ``kernel`` is ``"cpu"`` or ``"gpu"``; by default the device's kind decides.
@@ -39,7 +33,8 @@ class OutlineScorer:
         self.name = f"opencl:outline:{report.name}"
         self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
         self._parts = len(mesh.parts)
-        with self._device_errors():
+        self._each = TRANSFORM_BYTES * self._parts
+        with device_errors(self.name):
             table = build_table(mesh, Occlusion(self._queue).hidden_pieces)
             on_device = DeviceTable.upload(self._queue.context, table, self._parts)
             self._by_group = GpuOutline(self._queue, on_device)
@@ -54,11 +49,11 @@ class OutlineScorer:
     def score_many(self, part_transforms: Transforms, maps: Map) -> Floats:
         """(N, P, 3, 4) transforms, (H, W) or (K, H, W) maps -> (N, K): one outline, K sums."""
         transforms = self._checked(part_transforms, maps.shape[-2:])
-        with self._device_errors():
+        with device_errors(self.name):
             prefix = self._maps.load(maps)
             n_maps = len(prefix.units)
             scores = np.empty((len(transforms), n_maps), np.int64)
-            for batch in self._batches(len(transforms), 8 * n_maps):
+            for batch in batches(self._queue.device, len(transforms), self._each + 8 * n_maps):
                 scores[batch] = self._score(transforms[batch], prefix.buffer, n_maps, prefix.shape)
         return np.asarray(scores * prefix.units, dtype=np.float64)
 
@@ -72,7 +67,7 @@ class OutlineScorer:
         if len(steps) == 0 or len(transforms) == 0:
             return np.zeros((len(transforms), len(steps)))
         if self._by_item is None:
-            return self._score_one_by_one(transforms, log_ratio, steps)
+            return super().score_shifts(transforms, log_ratio, steps)
         return self._score_grid(self._by_item, transforms, log_ratio, steps)
 
     def close(self) -> None:
@@ -110,9 +105,9 @@ class OutlineScorer:
         table, unit, first, width = grid.table(log_ratio)
         picked = np.empty((len(moved), len(steps)), np.int64)
         size = grid.rows, grid.columns
-        with self._device_errors():
+        with device_errors(self.name):
             prefix = constant(self._queue.context, table)
-            for batch in self._batches(len(moved), 8 * grid.rows * grid.columns):
+            for batch in batches(self._queue.device, len(moved), self._each + 8 * grid.rows * grid.columns):
                 scores = np.empty((batch.stop - batch.start, *size), np.int64)
                 out = cl.Buffer(self._queue.context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
                 now = constant(self._queue.context, moved[batch])
@@ -122,16 +117,8 @@ class OutlineScorer:
         result = np.asarray(picked * unit, dtype=np.float64)
         crowded = unresolved(picked)
         if len(crowded):
-            result[crowded] = self._score_one_by_one(transforms[crowded], log_ratio, steps)
+            result[crowded] = super().score_shifts(transforms[crowded], log_ratio, steps)
         return result
-
-    def _score_one_by_one(self, transforms: Transforms, log_ratio: Map, steps: NDArray[np.int64]) -> Floats:
-        scores = np.empty((len(transforms), len(steps)))
-        for k, step in enumerate(steps):
-            moved = transforms.copy()
-            moved[:, :, :2, 3] += step
-            scores[:, k] = self.score(moved, log_ratio)
-        return scores
 
     def _checked(self, part_transforms: Transforms, shape: tuple[int, ...]) -> Transforms:
         transforms = np.ascontiguousarray(part_transforms, dtype=np.float32)
@@ -140,18 +127,3 @@ class OutlineScorer:
         if max(shape) > LARGEST_SIDE:
             raise ImageSizeError(f"an image of {shape[1]} x {shape[0]} is larger than {LARGEST_SIDE} a side")
         return transforms
-
-    def _batches(self, n: int, bytes_out: int) -> Iterator[slice]:
-        device = self._queue.device
-        each = LEAST_BYTES * self._parts + bytes_out
-        size = batch_size(each, device.global_mem_size, device.max_mem_alloc_size)
-        return (slice(start, min(start + size, n)) for start in range(0, n, size))
-
-    @contextmanager
-    def _device_errors(self) -> Iterator[None]:
-        try:
-            yield
-        except cl.MemoryError as error:
-            raise ScorerError(f"{self.name} has too little memory: {error}") from error
-        except cl.Error as error:
-            raise DeviceLostError(f"{self.name} failed: {error}") from error

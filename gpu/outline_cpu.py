@@ -9,9 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.clusters import OutlineTable
-from gpu.program import build, constant
-
-KernelArgument = np.generic | cl.Buffer
+from gpu.program import KernelArgument, build, constant, zero
 
 LANES = 16
 CONSTANTS = {"KEPT": 512, "TALL": 4, "TALL_SLOTS": 256, "SHORT_SLOTS": 128, "BAND_STRIDE": 525}
@@ -63,7 +61,7 @@ class CpuOutline:
         height, width = shape
         memory, each = self._scratch(shape)
         sizes = (np.int32(n_maps), np.int32(width), np.int32(height))
-        tail = (out, memory, np.int32(each), self._counter())
+        tail = (out, memory, np.int32(each), zero(self._queue.context))
         self._launch(self._score, transforms, np.int32(n), *self._table.arguments, prefix, *sizes, *tail)
 
     def score_shifts(
@@ -80,15 +78,12 @@ class CpuOutline:
         """Write (n, *grid) int64 scores to ``out``; see the kernel for ``first`` and the table's layout."""
         memory, each = self._scratch(canvas)
         numbers = (first, prefix_width, *grid, canvas[1], canvas[0])
-        tail = (out, memory, np.int32(each), self._counter())
+        tail = (out, memory, np.int32(each), zero(self._queue.context))
         head = (transforms, np.int32(n), *self._table.arguments, prefix)
         self._launch(self._score_shifts, *head, *(np.int32(v) for v in numbers), *tail)
 
     def _launch(self, kernel: cl.Kernel, *arguments: KernelArgument) -> None:
         kernel(self._queue, (self._groups,), (1,), *arguments)
-
-    def _counter(self) -> cl.Buffer:
-        return constant(self._queue.context, np.zeros(1, np.int32))
 
     def _scratch(self, shape: tuple[int, int]) -> tuple[cl.Buffer, int]:
         """Scratch memory for images of this shape, and the numbers (int32) of one work-item."""

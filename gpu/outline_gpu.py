@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from gpu.budget import group_count
 from gpu.outline_cpu import DeviceTable
-from gpu.program import build, constant
+from gpu.program import build, zero
 
 LARGEST_GROUP = 256
 ROW_ITEMS = 32
@@ -53,7 +53,7 @@ class GpuOutline:
             out,
             self._memory,
             np.int32(self._table.longest),
-            constant(self._queue.context, np.zeros(1, np.int32)),
+            zero(self._queue.context),
             cl.LocalMemory(4 * band_rows * ROW_ITEMS * stretch),  # type: ignore[arg-type]  # missing in its stub
         )
 

@@ -48,16 +48,25 @@ class MapCache:
 def fixed_point_prefix(maps: NDArray[np.float32], bits: int = BITS) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """(K, H, W) maps -> (K, H, W + 1) int32 prefix sums along the rows and (K,) value of one unit, a power of two.
 
-    The unit is the smallest for which no prefix sum needs more than ``bits`` bits: rounding a pixel to it costs at
-    most W 2^-(bits + 1) of the largest value. Raises ``ScorerError`` for a map with a value that is not finite.
+    Raises ``ScorerError`` for a map with a value that is not finite.
     """
-    values = np.asarray(maps, dtype=np.float64)
-    width = values.shape[2]
-    largest = np.abs(values).max(axis=(1, 2), initial=0.0)
-    if not np.isfinite(largest).all():
-        raise ScorerError("the map has a value that is not finite")
-    exponent = np.ceil(np.log2(np.maximum(largest, 1e-300) * max(1, width))) - bits
-    units = np.exp2(np.maximum(exponent, -1000.0))
-    prefix = np.zeros((*values.shape[:2], width + 1), np.int32)
-    prefix[:, :, 1:] = np.cumsum(np.rint(values / units[:, None, None]), axis=2)
+    prefix = np.zeros((*maps.shape[:2], maps.shape[2] + 1), np.int32)
+    units = np.empty(len(maps))
+    for k, one in enumerate(maps):
+        whole, units[k] = fixed_point(one, bits)
+        np.cumsum(whole, axis=1, out=prefix[k, :, 1:])
     return prefix, units
+
+
+def fixed_point(log_ratio: NDArray[np.float32], bits: int = BITS) -> tuple[NDArray[np.int32], float]:
+    """(H, W) map -> the map in whole units, and the value of one unit.
+
+    The unit is the smallest power of two for which no row's sum needs more than ``bits`` bits: rounding a pixel to it
+    costs at most W 2^-(bits + 1) of the largest value.
+    """
+    largest = float(np.abs(log_ratio).max(initial=0.0))
+    if not np.isfinite(largest):
+        raise ScorerError("the map has a value that is not finite")
+    exponent = np.ceil(np.log2(max(largest, 1e-300) * max(1, log_ratio.shape[1]))) - bits
+    unit = float(np.exp2(max(exponent, -1000.0)))
+    return np.rint(np.asarray(log_ratio, dtype=np.float64) / unit).astype(np.int32), unit

@@ -1,13 +1,18 @@
-"""Kernels from files, and buffers from arrays."""
+"""Kernels from files, buffers from arrays, and a device's errors as ours."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import resources
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
+
+from gpu.errors import DeviceLostError, ScorerError
+
+KernelArgument = np.generic | cl.Buffer
 
 
 def build(context: cl.Context, *files: str, options: Sequence[str] = ()) -> cl.Program:
@@ -23,3 +28,19 @@ def constant(context: cl.Context, values: NDArray[np.generic]) -> cl.Buffer:
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     filled = np.ascontiguousarray(values) if values.size else np.zeros(1, values.dtype)
     return cl.Buffer(context, flags, hostbuf=filled)
+
+
+def zero(context: cl.Context) -> cl.Buffer:
+    """The counter from which persistent work-items and work-groups take the next particle."""
+    return constant(context, np.zeros(1, np.int32))
+
+
+@contextmanager
+def device_errors(name: str) -> Iterator[None]:
+    """Raise ``ScorerError`` where memory is short, ``DeviceLostError`` where the device fails."""
+    try:
+        yield
+    except cl.MemoryError as error:
+        raise ScorerError(f"{name} has too little memory: {error}") from error
+    except cl.Error as error:
+        raise DeviceLostError(f"{name} failed: {error}") from error

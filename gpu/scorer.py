@@ -10,17 +10,15 @@ from numpy.typing import NDArray
 
 from gpu.device import find_devices, no_device_reason
 from gpu.errors import DeviceError, DeviceLostError, ScorerError
+from gpu.fill import FillScorer
+from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
 from gpu.outline import OutlineScorer
 from gpu.reference import reference_scores
 
 __all__ = ["DeviceError", "DeviceLostError", "Scorer", "ScorerError", "open_scorer"]
 
-Floats = NDArray[np.float64]
-Transforms = NDArray[np.float32]
-Map = NDArray[np.float32]
-
-BACKENDS = ("auto", "outline", "reference")
+BACKENDS = ("auto", "outline", "cpu", "cpu-mt", "reference")
 
 
 class Scorer(Protocol):
@@ -44,7 +42,7 @@ class Scorer(Protocol):
         """Release the device."""
 
 
-class ReferenceScorer:
+class ReferenceScorer(LoopingScorer):
     """The NumPy twin as a scorer: the fallback where no OpenCL platform answers."""
 
     name = "numpy:reference"
@@ -60,29 +58,27 @@ class ReferenceScorer:
         """See ``Scorer.score_many``."""
         return reference_scores(self._mesh, part_transforms, maps)
 
-    def score_shifts(self, part_transforms: Transforms, log_ratio: Map, shifts: NDArray[np.integer]) -> Floats:
-        """See ``Scorer.score_shifts``."""
-        scores = np.empty((len(part_transforms), len(shifts)))
-        for k, shift in enumerate(shifts):
-            moved = part_transforms.copy()
-            moved[:, :, :2, 3] += shift
-            scores[:, k] = self.score(moved, log_ratio)
-        return scores
-
     def close(self) -> None:
         """Nothing to release."""
 
 
 def open_scorer(mesh: Mesh, *, backend: str = "auto") -> Scorer:
-    """Open a scorer for ``mesh``; ``auto`` takes OpenCL where a device answers, else the reference (and warns)."""
+    """Open a scorer for ``mesh``.
+
+    ``auto`` takes OpenCL where a device answers, else the reference, and warns. ``outline`` is the fast one;
+    ``cpu`` and ``cpu-mt`` fill the silhouette on one core or on all, as the paper's CPU rows do. Raises
+    ``ScorerError``, or ``DeviceError`` where a backend that was asked for has no device.
+    """
     if backend not in BACKENDS:
         raise ScorerError(f"scorer backend {backend!r} is not one of {', '.join(BACKENDS)}")
     if backend == "reference":
         return ReferenceScorer(mesh)
-    usable = [report for report in find_devices() if report.rejected is None]
+    usable = [r for r in find_devices() if r.rejected is None and (r.kind == "cpu" or not backend.startswith("cpu"))]
     if usable:
+        if backend.startswith("cpu"):
+            return FillScorer(mesh, usable[0], threads=1 if backend == "cpu" else None)
         return OutlineScorer(mesh, usable[0])
-    if backend == "auto":
-        warnings.warn(f"scoring without OpenCL, slowly: {no_device_reason()}", RuntimeWarning, stacklevel=2)
-        return ReferenceScorer(mesh)
-    raise DeviceError(no_device_reason())
+    if backend != "auto":
+        raise DeviceError(f"backend {backend!r} has no device: {no_device_reason()}")
+    warnings.warn(f"scoring without OpenCL, slowly: {no_device_reason()}", RuntimeWarning, stacklevel=2)
+    return ReferenceScorer(mesh)

@@ -14,6 +14,16 @@ static ints ints_at(__global const int *from) { return *(__global const loose_in
 
 static ints lane_numbers(void) { return (ints)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15); }
 
+// The first of the points 0, 1, 2, ... that is not before v, at most `end`.
+static ints first_from(floats v, const int end)
+{
+    const floats last = (float)end;
+    v = v > 0.0f ? v : 0.0f;
+    v = v < last ? v : last;
+    const ints whole = convert_int16_rtz(v);
+    return whole - (v > convert_float16(whole));
+}
+
 // lanes_where(c): bit k is set where lane k of c is true (-1).
 // append_where(c, values, list, count): write the chosen values to the end of a list, in order; returns its new length.
 // Up to LANES elements behind the new end are overwritten.

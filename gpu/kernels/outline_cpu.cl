@@ -59,16 +59,6 @@ static Scratch take_scratch(__global int *memory, const int width, const int hei
 
 static ints sign_of(floats v) { return (v < 0.0f) - (v > 0.0f); }
 
-// The first of the points 0, 1, 2, ... that is not before v, at most `end`.
-static ints first_from(floats v, const int end)
-{
-    const floats last = (float)end;
-    v = v > 0.0f ? v : 0.0f;
-    v = v < last ? v : last;
-    const ints whole = convert_int16_rtz(v);
-    return whole - (v > convert_float16(whole));
-}
-
 // Choose among sixteen edges; `block` has their ends and normals (gpu/clusters.py), `mask` the lanes to look at.
 static int choose_edges(
     __global const floats *block, const int mask, __global const float *t, const float3 view, const Scratch s, int kept)

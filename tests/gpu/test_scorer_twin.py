@@ -7,6 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gpu.device import find_devices
+from gpu.fill import FillScorer
 from gpu.outline import OutlineScorer
 from gpu.reference import reference_scores, silhouette_mask
 
@@ -22,13 +23,14 @@ MESHES = [
     "topex_poseidon",
 ]
 KERNELS = ("cpu", "gpu")
+BACKENDS = ("fill", *KERNELS)
 
 
 def open_outline(mesh, kernel):
     usable = [report for report in find_devices() if report.rejected is None]
     if not usable:
         pytest.skip("no OpenCL device answers")
-    return OutlineScorer(mesh, usable[0], kernel)
+    return FillScorer(mesh, usable[0]) if kernel == "fill" else OutlineScorer(mesh, usable[0], kernel)
 
 
 def assert_twins(mesh, kernel, poses, values, tolerance=1e-4):
@@ -37,7 +39,7 @@ def assert_twins(mesh, kernel, poses, values, tolerance=1e-4):
     assert relative_error(scores, expected[:, 0], expected[:, 1]) < tolerance
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 @pytest.mark.parametrize("name", MESHES)
 def test_agrees_on_real_spacecraft(shared, name, kernel):
     mesh = shared_mesh(shared / "data" / "meshes" / f"{name}.glb")
@@ -46,7 +48,7 @@ def test_agrees_on_real_spacecraft(shared, name, kernel):
     assert_twins(mesh, kernel, transforms(rng, mesh, 5, 110.0, shape), a_map(rng, shape))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 @pytest.mark.parametrize(("radius_px", "spread_px"), [(1.5, 20.0), (20.0, 5.0), (60.0, 60.0), (3000.0, 500.0)], ids=str)
 def test_any_size_and_place(kernel, radius_px, spread_px):
     mesh = mesh_of(sphere(), box(centre=(1.5, 0, 0)), box((3, 0.1, 1), (0, 1.6, 0)))
@@ -55,7 +57,7 @@ def test_any_size_and_place(kernel, radius_px, spread_px):
     assert_twins(mesh, kernel, poses, a_map(rng))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 def test_open_flipped_and_non_manifold(kernel):
     rng = np.random.default_rng(7)
     vertices, faces = sphere(6)
@@ -66,7 +68,7 @@ def test_open_flipped_and_non_manifold(kernel):
     assert_twins(mesh, kernel, transforms(rng, mesh, 40, 35.0), a_map(rng))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 def test_hidden_pieces_change_nothing(kernel):
     rng = np.random.default_rng(8)
     inside = [box((0.2, 0.3, 0.1), rng.uniform(-0.5, 0.5, 3)) for _ in range(30)]
@@ -78,7 +80,7 @@ def test_hidden_pieces_change_nothing(kernel):
     assert_twins(mesh, kernel, transforms(rng, mesh, 150, 30.0), a_map(rng))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 def test_more_crossings_in_a_row_than_there_is_room_for(kernel):
     rng = np.random.default_rng(9)
     mesh = mesh_of(soup(rng, 3000, 900))
@@ -86,7 +88,7 @@ def test_more_crossings_in_a_row_than_there_is_room_for(kernel):
     assert_twins(mesh, kernel, poses, a_map(rng))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32 - 1), n_faces=st.integers(1, 25), n_vertices=st.integers(3, 12))
 def test_any_small_mesh(kernel, seed, n_faces, n_vertices):
@@ -96,7 +98,7 @@ def test_any_small_mesh(kernel, seed, n_faces, n_vertices):
     assert_twins(mesh, kernel, poses, a_map(rng))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 def test_a_count_of_pixels_is_exact(kernel):
     mesh = mesh_of(box((2, 1, 1)))
     ones = np.ones(SHAPE, np.float32)
@@ -107,7 +109,7 @@ def test_a_count_of_pixels_is_exact(kernel):
     assert silhouette_mask(mesh, pose[0], SHAPE).sum() == 40 * 20
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 def test_order_and_company_do_not_matter(kernel):
     mesh = mesh_of(sphere(), box(centre=(1, 0, 0)))
     rng = np.random.default_rng(10)
@@ -118,14 +120,26 @@ def test_order_and_company_do_not_matter(kernel):
     assert np.array_equal(np.concatenate([scorer.score(poses[k : k + 7], values) for k in range(0, 200, 7)]), together)
 
 
-def test_kernels_give_the_same_bits():
+def test_all_give_the_same_bits():
     mesh = mesh_of(sphere(), box(centre=(1, 0, 0)))
     rng = np.random.default_rng(11)
     values, poses = a_map(rng), transforms(rng, mesh, 200, 30.0)
-    assert np.array_equal(*(open_outline(mesh, kernel).score(poses, values) for kernel in KERNELS))
+    scores = [open_outline(mesh, kernel).score(poses, values) for kernel in BACKENDS]
+    assert np.array_equal(scores[0], scores[1])
+    assert np.array_equal(scores[1], scores[2])
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+def test_masks_are_the_reference_masks():
+    rng = np.random.default_rng(15)
+    mesh = mesh_of(sphere(), soup(rng, 20, 12))
+    poses = transforms(rng, mesh, 6, 40.0)
+    masks = open_outline(mesh, "fill").masks(poses, SHAPE)
+    assert all(
+        np.array_equal(mask, silhouette_mask(mesh, pose, SHAPE)) for mask, pose in zip(masks, poses, strict=True)
+    )
+
+
+@pytest.mark.parametrize("kernel", BACKENDS)
 def test_several_maps_at_once(kernel):
     mesh = mesh_of(sphere(), box(centre=(1, 0, 0)))
     rng = np.random.default_rng(12)
@@ -138,7 +152,7 @@ def test_several_maps_at_once(kernel):
         assert np.array_equal(together[:, k], scorer.score(poses, values))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 def test_shifts_agree_with_moved_silhouettes(kernel):
     mesh = mesh_of(sphere(), box(centre=(1, 0, 0)))
     rng = np.random.default_rng(13)
@@ -154,7 +168,7 @@ def test_shifts_agree_with_moved_silhouettes(kernel):
         assert relative_error(scores[:, k], expected[:, 0], expected[:, 1]) < 1e-4
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", BACKENDS)
 def test_tall_and_odd_images(kernel):
     mesh = mesh_of(sphere(), box(centre=(1, 0, 0)))
     rng = np.random.default_rng(14)

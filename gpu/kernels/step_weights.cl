@@ -1,0 +1,124 @@
+// From scores to weights, and the sums that the estimate (Eq. 5) is made of.
+//
+// Every work-group adds up its share of the particles, work-item by work-item and then as a tree; the host adds the
+// groups' sums in double precision. The order is fixed, so the same device gives the same bits.
+//
+// Built with (gpu/step.py): GROUP, JOINTS; needs step_rotation.cl and step_motion.cl before it.
+
+// The best score of each group's particles, and the first particle that has it.
+__kernel void find_best(__global const long *scores, const int n, __global long *best_scores, __global int *best)
+{
+    __local long score[GROUP];
+    __local int particle[GROUP];
+    const int me = get_local_id(0);
+    score[me] = LONG_MIN;
+    particle[me] = n;
+    for (int i = get_global_id(0); i < n; i += get_global_size(0))
+        if (scores[i] > score[me]) {
+            score[me] = scores[i];
+            particle[me] = i;
+        }
+    for (int half_group = GROUP / 2; half_group > 0; half_group /= 2) {
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (me >= half_group) continue;
+        const int other = me + half_group;
+        const bool better = score[other] > score[me], same = score[other] == score[me];
+        if (better || (same && particle[other] < particle[me])) {
+            score[me] = score[other];
+            particle[me] = particle[other];
+        }
+    }
+    if (me == 0) {
+        best_scores[get_group_id(0)] = score[0];
+        best[get_group_id(0)] = particle[0];
+    }
+}
+
+// Log weights relative to the heaviest. Scores are whole numbers, so nothing is lost when the best is subtracted.
+__kernel void weigh(
+    __global const long *scores, const int n, const long best_score, const float nats, __global float *log_weights)
+{
+    const int i = get_global_id(0);
+    if (i < n) log_weights[i] = nats * (float)(scores[i] - best_score);
+}
+
+// Add up one number per work-item; the result is for work-item 0.
+static float sum_over_group(__local float *terms, const float mine)
+{
+    const int me = get_local_id(0);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    terms[me] = mine;
+    for (int half_group = GROUP / 2; half_group > 0; half_group /= 2) {
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (me < half_group) terms[me] += terms[me + half_group];
+    }
+    return terms[0];
+}
+
+// w, w^2, then w times: x, y, scale; each joint's value, cosine and sine; the ten products of the quaternion with itself
+// (x x, x y, x z, x w, y y, ...).
+#define MEAN_SUMS (5 + 3 * JOINTS + 10)
+
+__kernel void sums_for_mean(
+    __global const float4 *rotations, __global const float *values, __global const float *log_weights, const int n,
+    __global float *sums)
+{
+    __local float terms[GROUP];
+    float sum[MEAN_SUMS];
+    for (int k = 0; k < MEAN_SUMS; ++k) sum[k] = 0.0f;
+    for (int i = get_global_id(0); i < n; i += get_global_size(0)) {
+        const float w = exp(log_weights[i]);
+        sum[0] += w;
+        sum[1] += w * w;
+        sum[2] += w * values[i];
+        sum[3] += w * values[n + i];
+        sum[4] += w * exp(values[2 * n + i]);
+        int k = 5;
+        for (int joint = 0; joint < JOINTS; ++joint) {
+            const float value = values[(3 + joint) * n + i], angle = value / 180.0f;    // in half turns
+            sum[k++] += w * value;
+            sum[k++] += w * cospi(angle);
+            sum[k++] += w * sinpi(angle);
+        }
+        float q[4];
+        vstore4(rotations[i], 0, q);
+        for (int a = 0; a < 4; ++a)
+            for (int b = a; b < 4; ++b) sum[k++] += w * q[a] * q[b];
+    }
+    for (int k = 0; k < MEAN_SUMS; ++k) {
+        const float total = sum_over_group(terms, sum[k]);
+        if (get_local_id(0) == 0) sums[get_group_id(0) * MEAN_SUMS + k] = total;
+    }
+}
+
+// w times: the tangent coordinates about the mean; their products (0 0, 0 1, ..., 1 1, ...); the squared difference of
+// the scales.
+#define SPREAD_SUMS (TANGENT + TANGENT * (TANGENT + 1) / 2 + 1)
+
+__kernel void sums_for_spread(
+    __global const float4 *rotations, __global const float *values, __global const float *log_weights, const int n,
+    const float4 mean_rotation, __global const float *mean_values, __global const float *period, __global float *sums)
+{
+    __local float terms[GROUP];
+    float sum[SPREAD_SUMS];
+    for (int k = 0; k < SPREAD_SUMS; ++k) sum[k] = 0.0f;
+    for (int i = get_global_id(0); i < n; i += get_global_size(0)) {
+        const float w = exp(log_weights[i]);
+        float t[TANGENT];
+        vstore3(rotation_vector(multiply(inverse(mean_rotation), rotations[i])), 0, t);
+        for (int k = 0; k < VALUES; ++k) {
+            const float apart = values[k * n + i] - mean_values[k];
+            t[3 + k] = period[k] > 0.0f ? apart - period[k] * rint(apart / period[k]) : apart;    // the short way round
+        }
+        int k = 0;
+        for (int a = 0; a < TANGENT; ++a) sum[k++] += w * t[a];
+        for (int a = 0; a < TANGENT; ++a)
+            for (int b = a; b < TANGENT; ++b) sum[k++] += w * t[a] * t[b];
+        const float scale_apart = exp(values[2 * n + i]) - exp(mean_values[2]);
+        sum[k] += w * scale_apart * scale_apart;
+    }
+    for (int k = 0; k < SPREAD_SUMS; ++k) {
+        const float total = sum_over_group(terms, sum[k]);
+        if (get_local_id(0) == 0) sums[get_group_id(0) * SPREAD_SUMS + k] = total;
+    }
+}

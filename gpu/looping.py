@@ -1,0 +1,33 @@
+"""What a scorer that can only do one map at a time makes of several maps, and of shifts."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Transforms = NDArray[np.float32]
+Map = NDArray[np.float32]
+
+
+class LoopingScorer(ABC):
+    """Asks ``score`` again for every map and every shift."""
+
+    @abstractmethod
+    def score(self, part_transforms: Transforms, log_ratio: Map) -> Floats:
+        """(N, P, 3, 4) transforms, (H, W) map -> (N,) sums of the map under the silhouettes."""
+
+    def score_many(self, part_transforms: Transforms, maps: Map) -> Floats:
+        """(N, P, 3, 4) transforms, (K, H, W) maps -> (N, K) sums."""
+        return np.stack([self.score(part_transforms, one) for one in maps], axis=1)
+
+    def score_shifts(self, part_transforms: Transforms, log_ratio: Map, shifts: NDArray[np.integer]) -> Floats:
+        """(N, P, 3, 4), (H, W), (S, 2) whole pixels dx, dy -> (N, S) sums under the shifted silhouettes."""
+        scores = np.empty((len(part_transforms), len(shifts)))
+        for k, shift in enumerate(shifts):
+            moved = part_transforms.copy()
+            moved[:, :, :2, 3] += shift
+            scores[:, k] = self.score(moved, log_ratio)
+        return scores
