@@ -23,7 +23,10 @@ from service.workers.base import (
     ModelJob,
     ModelReport,
     OverlayJob,
+    SmoothJob,
+    SmoothReport,
 )
+from service.workers.smoothing import smooth_pass
 from service.workers.splitting import SplitJob
 
 CUBE = b"cube"
@@ -88,6 +91,9 @@ class FakeWorker:
         image = cv2.cvtColor(decode(job.body, job.media_type), cv2.COLOR_GRAY2BGR)
         image[..., 0] = 255
         return cv2.imencode(".png", image)[1].tobytes()
+
+    def smooth(self, job: SmoothJob) -> SmoothReport:
+        return smooth_pass(job)
 
     def describe(self) -> Mapping[str, Any]:
         return {"scorer": "fake"}

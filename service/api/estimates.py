@@ -37,17 +37,23 @@ class ExportQuery(BaseModel):
     """International designator, YYYY-NNNP."""
 
 
-@router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422))
+@router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422, 503))
 async def list_estimates(
     session_id: str,
     services: ServicesDep,
     after: Annotated[int, Query(ge=-1, le=2**53, description="Frames after this index")] = -1,
     limit: Annotated[int, Query(ge=1)] = 100,
+    smoothed: Annotated[bool, Query(description="With all later frames taken into account")] = False,
 ) -> Response:
-    """Estimates in order of their frames."""
+    """Estimates in order of their frames.
+
+    With `smoothed=true` pose, spread, modes and rates are those given the whole pass so far (a backward smoother),
+    and each estimate says in `smoothed` whether that was possible.
+    """
     limit = page_limit(limit, services.settings)
-    found, cursor = await services.archive.estimates(session_id, after, limit)
-    following = next_page(f"/v1/sessions/{session_id}/estimates", cursor, limit)
+    read = services.archive.smoothed if smoothed else services.archive.estimates
+    found, cursor = await read(session_id, after, limit)
+    following = next_page(f"/v1/sessions/{session_id}/estimates", cursor, limit, "&smoothed=true" if smoothed else "")
     return page_response("estimates", found, following)
 
 

@@ -26,9 +26,9 @@ def page_limit(limit: int, settings: Settings) -> int:
     return limit
 
 
-def next_page(path: str, cursor: int | None, limit: int) -> str | None:
-    """Where the next page is, or None after the last."""
-    return None if cursor is None else f"{path}?after={cursor}&limit={limit}"
+def next_page(path: str, cursor: int | None, limit: int, more: str = "") -> str | None:
+    """Where the next page is, or None after the last; ``more``: rest of the query."""
+    return None if cursor is None else f"{path}?after={cursor}&limit={limit}{more}"
 
 
 def page_response(name: str, documents: Iterable[bytes], following: str | None) -> Response:

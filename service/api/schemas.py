@@ -50,7 +50,8 @@ class Pose(Wire):
 class BestPose(Pose):
     """The particle of highest likelihood in this frame."""
 
-    log_likelihood: float
+    log_likelihood: float | None
+    """Null in smoothed estimates, where `best` is the mean of the heaviest mode."""
 
 
 class Spread(Wire):
@@ -82,6 +83,29 @@ class Mode(Wire):
     spread: Spread
 
 
+class AxisRates(Wire):
+    """About the body's axes."""
+
+    x: float
+    y: float
+    z: float
+
+
+class JointRate(Wire):
+    """Degrees (revolute) or model units (prismatic) per second."""
+
+    rate_per_s: float
+    spread_per_s: float
+
+
+class Rates(Wire):
+    """How fast the pose changes against the camera, in the mode of `best`; spreads are standard deviations."""
+
+    angular_velocity_deg_s: AxisRates
+    spread_deg_s: AxisRates
+    joints: dict[str, JointRate]
+
+
 class Estimate(Wire):
     """The answer to a frame."""
 
@@ -96,6 +120,10 @@ class Estimate(Wire):
     best: BestPose
     spread: FullSpread
     modes: list[Mode]
+    rates: Rates | None = None
+    """Null in the first frame, and with a motion that has no rates."""
+    smoothed: bool | None = None
+    """With `?smoothed=true` only: whether later frames could be taken into account."""
     camera: Camera | None = None
     """Where the camera's orientation is known."""
     particles: int

@@ -135,11 +135,15 @@ def find_modes(everybody: Sequence[Poses], weights: Array, log_likelihood: Array
         if modes and sum(m.weight for m in modes) > 1 - LEFT_OUT:
             break
         inner = weights[members] / share[k]
-        modes.extend(_twin_modes([poses[members] for poses in everybody], inner, float(share[k]), domain))
+        modes.extend(twin_modes([poses[members] for poses in everybody], inner, float(share[k]), domain))
     return tuple(sorted(modes, key=lambda mode: -mode.weight))
 
 
-def _twin_modes(everybody: Sequence[Poses], weights: Array, share: float, domain: Domain) -> list[Mode]:
+def twin_modes(everybody: Sequence[Poses], weights: Array, share: float, domain: Domain) -> list[Mode]:
+    """One mode of weight ``share`` as it is told: once per twin, less those that lie within its own spread.
+
+    ``everybody`` lists its particles and each set of their twins; ``weights`` (N,) sum to 1.
+    """
     found: list[tuple[Poses, Spread, float]] = []
     for poses in everybody:
         mean = domain.wrap(mean_pose(poses, weights, domain.wrapping))

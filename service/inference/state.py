@@ -140,6 +140,14 @@ class Mode:
 
 
 @dataclass(frozen=True)
+class Rates:
+    """How fast a pose changes against the camera: means and standard deviations in tangent units per second."""
+
+    velocity: Array  # (6 + J,) rad/s about the body's axes, px/s, log scale per s, joints per s
+    deviation: Array  # (6 + J,)
+
+
+@dataclass(frozen=True)
 class Estimate:
     """What a frame's answer holds (Eq. 5 and the posterior's shape)."""
 
@@ -152,3 +160,4 @@ class Estimate:
     n_particles: int
     ess: float
     log_evidence: float
+    rates: Rates | None = None  # of the mode that ``best`` belongs to; None: unknown

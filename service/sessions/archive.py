@@ -20,6 +20,7 @@ from service.sessions import config as session_config
 from service.sessions.document import JointNames
 from service.sessions.frame_fits import frame_fits
 from service.sessions.library import articulation_of
+from service.sessions.smoothing import smoothed_page
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, SessionRecord
 from service.store.database import Database
@@ -56,6 +57,10 @@ class Archive:
         found = await self.database.read(frames.estimate_page, session_id, after, limit + 1)
         following = found[limit - 1][0] if len(found) > limit else None
         return [document for _, document in found[:limit]], following
+
+    async def smoothed(self, session_id: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
+        """The same, each with all later frames taken into account."""
+        return await smoothed_page(self.database, self._engine, session_id, after, limit)
 
     async def by_key(self, session_id: str, key: str) -> bytes | None:
         """The estimate of the frame that was sent with this idempotency key, or None."""

@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import orjson
 
 from service.errors import SkyposeError
 from service.inference.articulation import Articulation, hold
 from service.inference.params import SessionConfig
 from service.inference.pose import yaw_pitch_roll_deg
-from service.inference.state import Estimate, PoseEstimate, Spread
+from service.inference.smoothed import SmoothedEstimate
+from service.inference.state import Mode, PoseEstimate, Rates, Spread
 from service.sessions.absolute import View, attitude_document, camera_document
 from service.workers.base import PackedFrameReport
 
@@ -51,15 +53,12 @@ def estimate_document(
             **_pose(estimate.best, names, view),
             "log_likelihood": float(estimate.best_log_likelihood),
         },
-        "spread": {
-            **_spread(estimate.spread, names),
-            "covariance": estimate.spread.covariance.tolist(),
-            "covariance_order": [
-                *("rx_deg", "ry_deg", "rz_deg", "x_px", "y_px", "log_scale"),
-                *(f"joint:{name}" for name in names.free),
-            ],
-        },
-        **_population(estimate, names, view),
+        "spread": _full_spread(estimate.spread, names),
+        "modes": _modes(estimate.modes, names, view),
+        "rates": _rates(estimate.rates, names),
+        "particles": int(estimate.n_particles),
+        "ess": float(estimate.ess),
+        "log_evidence": float(estimate.log_evidence),
         "camera": None if view is None else camera_document(view),
         "timing_ms": {name: round(float(value), 3) for name, value in report.timing_ms.items()},
         "scorer": report.scorer,
@@ -73,19 +72,57 @@ def as_duplicate(document: bytes) -> bytes:
     return orjson.dumps({**orjson.loads(document), "duplicate": True})
 
 
-def _population(estimate: Estimate, names: JointNames, view: View | None) -> dict[str, Any]:
+def smoothed_document(
+    filtered: Mapping[str, Any], names: JointNames, smoothed: SmoothedEstimate | None, view: View | None
+) -> bytes:
+    """A stored estimate with the smoothed poses, spreads, modes and rates in the place of the filter's.
+
+    ``smoothed`` None: nothing is known beyond the filter's own answer, which stays. Likelihood, evidence and time
+    are the filter's; a smoothed pose has no likelihood of its own.
+    """
+    if smoothed is None:
+        return orjson.dumps({**filtered, "smoothed": False})
+    data = {
+        "mean": _pose(smoothed.mean, names, view, smoothed.spread),
+        "best": {**_pose(smoothed.best, names, view), "log_likelihood": None},
+        "spread": _full_spread(smoothed.spread, names),
+        "modes": _modes(smoothed.modes, names, view),
+        "rates": _rates(smoothed.rates, names),
+        "smoothed": True,
+    }
+    _require_finite(data, "estimate")
+    return orjson.dumps({**filtered, **data})
+
+
+def _modes(modes: Sequence[Mode], names: JointNames, view: View | None) -> list[dict[str, Any]]:
+    return [
+        {"weight": float(mode.weight), "pose": _pose(mode.pose, names, view), "spread": _spread(mode.spread, names)}
+        for mode in modes
+    ]
+
+
+def _rates(rates: Rates | None, names: JointNames) -> dict[str, Any] | None:
+    if rates is None:
+        return None
+    joints = zip(rates.velocity[6:].tolist(), rates.deviation[6:].tolist(), strict=True)
     return {
-        "modes": [
-            {
-                "weight": float(mode.weight),
-                "pose": _pose(mode.pose, names, view),
-                "spread": _spread(mode.spread, names),
-            }
-            for mode in estimate.modes
+        "angular_velocity_deg_s": _named("xyz", np.rad2deg(rates.velocity[:3]).tolist()),
+        "spread_deg_s": _named("xyz", np.rad2deg(rates.deviation[:3]).tolist()),
+        "joints": {
+            name: {"rate_per_s": rate, "spread_per_s": deviation}
+            for name, (rate, deviation) in zip(names.free, joints, strict=True)
+        },
+    }
+
+
+def _full_spread(spread: Spread, names: JointNames) -> dict[str, Any]:
+    return {
+        **_spread(spread, names),
+        "covariance": spread.covariance.tolist(),
+        "covariance_order": [
+            *("rx_deg", "ry_deg", "rz_deg", "x_px", "y_px", "log_scale"),
+            *(f"joint:{name}" for name in names.free),
         ],
-        "particles": int(estimate.n_particles),
-        "ess": float(estimate.ess),
-        "log_evidence": float(estimate.log_evidence),
     }
 
 

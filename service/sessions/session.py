@@ -151,6 +151,7 @@ class Session:
             document=document,
             state=report.state,
             created_at=format_time(frame.received),
+            belief=report.belief,
         )
         started = time.monotonic()
         seq = await self._rooms.database.write(frames.append, record, self._rooms.retention)

@@ -63,6 +63,7 @@ class FrameRecord:
     document: bytes  # the estimate as the API answers it
     state: bytes  # the weighted particles, packed
     created_at: str
+    belief: bytes | None = None  # their modes, packed, kept for good; None: nothing is known
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,15 @@ class Retention:
     frame_bodies: int
     particle_sets: int
     particle_every: int
+
+
+@dataclass(frozen=True)
+class StoredBelief:
+    """What the smoother needs of a frame."""
+
+    index: int
+    time_s: float
+    belief: bytes | None
 
 
 @dataclass(frozen=True)

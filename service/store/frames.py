@@ -6,8 +6,8 @@ from sqlalchemy import Connection, delete, insert, select
 
 from service.errors import GoneError, NotFoundError
 from service.store import sessions as session_queries
-from service.store.base import FrameRecord, Retention, StoredEvent, StoredFrame
-from service.store.tables import estimates, events, frame_bodies, frames, particles
+from service.store.base import FrameRecord, Retention, StoredBelief, StoredEvent, StoredFrame
+from service.store.tables import beliefs, estimates, events, frame_bodies, frames, particles
 
 
 def append(connection: Connection, record: FrameRecord, retention: Retention) -> int:
@@ -35,6 +35,8 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
         connection.execute(insert(frame_bodies).values(**at, body=record.body))
     connection.execute(insert(estimates).values(**at, document=record.document))
     connection.execute(insert(particles).values(**at, state=record.state))
+    if record.belief is not None:
+        connection.execute(insert(beliefs).values(**at, belief=record.belief))
     connection.execute(insert(events).values(**at, seq=row.next_seq, kind="estimate"))
     _forget(connection, record.session_id, record.index, retention)
     return row.next_seq
@@ -86,6 +88,19 @@ def estimate_page(connection: Connection, session_id: str, after: int, limit: in
         .limit(limit)
     )
     return [(row.idx, row.document) for row in connection.execute(query)]
+
+
+def belief_page(connection: Connection, session_id: str, first: int) -> list[StoredBelief]:
+    """Time and packed modes of frame ``first`` and all after it. Raises ``NotFoundError``: no such session."""
+    session_queries.get(connection, session_id)
+    same = (beliefs.c.session_id == frames.c.session_id) & (beliefs.c.idx == frames.c.idx)
+    query = (
+        select(frames.c.idx, frames.c.time_s, beliefs.c.belief)
+        .join(beliefs, same, isouter=True)
+        .where(frames.c.session_id == session_id, frames.c.idx >= first)
+        .order_by(frames.c.idx)
+    )
+    return [StoredBelief(row.idx, row.time_s, row.belief) for row in connection.execute(query)]
 
 
 def event_page(connection: Connection, session_id: str, after: int, limit: int) -> list[StoredEvent]:

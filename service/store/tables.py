@@ -124,6 +124,24 @@ particles = Table(
     Column("state", LargeBinary, nullable=False),
 )
 
+beliefs = Table(
+    "beliefs",
+    metadata,
+    _of_session(),
+    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("belief", LargeBinary, nullable=False),
+)
+
+contenders = Table(
+    "contenders",
+    metadata,
+    _of_session(),
+    Column("ordinal", Integer, primary_key=True, autoincrement=False),
+    Column("model_id", String, ForeignKey("models.id"), nullable=False),
+    Column("state", LargeBinary),
+    Column("log_evidence", Float, nullable=False),
+)
+
 events = Table(
     "events",
     metadata,

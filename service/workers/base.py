@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
+from service.inference.belief import Belief
 from service.inference.params import SessionConfig
+from service.inference.smoothed import SmoothedEstimate
 from service.inference.state import Estimate, FilterState
 from service.inference.symmetry import Symmetry
 
@@ -94,6 +96,7 @@ class FrameReport:
     estimate: Estimate
     timing_ms: Mapping[str, float]  # decode, measure, score, total
     scorer: str
+    belief: Belief | None = None  # the particles as modes, for the smoother
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,7 @@ class PackedFrameReport:
     estimate: Estimate
     timing_ms: Mapping[str, float]
     scorer: str
+    belief: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,26 @@ class OverlayJob:
     ser_byte_order: Literal["auto", "little", "big"] = "auto"
 
 
+@dataclass(frozen=True)
+class SmoothJob:
+    """Smooth a pass. ``beliefs`` are packed, in the order of their frames; None where a frame's is not known."""
+
+    config: SessionConfig
+    articulation: Articulation
+    twins: tuple[Symmetry, ...]  # joints by position in ``articulation``
+    width: int
+    height: int
+    beliefs: tuple[bytes | None, ...]
+    count: int  # frames to answer, from the first on; the others are only what came after
+
+
+@dataclass(frozen=True)
+class SmoothReport:
+    """One entry for each frame asked for; None where nothing is known but the filter's own answer."""
+
+    estimates: tuple[SmoothedEstimate | None, ...]
+
+
 class Worker(Protocol):
     """Runs jobs one at a time. Raises ``service.errors.SkyposeError`` for anything the caller should hear."""
 
@@ -145,6 +169,9 @@ class Worker(Protocol):
 
     def overlay(self, job: OverlayJob) -> bytes:
         """PNG of the frame with the silhouette in blue."""
+
+    def smooth(self, job: SmoothJob) -> SmoothReport:
+        """Backwards over a pass that was tracked."""
 
     def describe(self) -> Mapping[str, Any]:
         """Devices, scorer, versions, for ``/v1/system``."""

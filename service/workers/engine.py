@@ -16,6 +16,8 @@ from service.workers.base import (
     OverlayJob,
     PackedFrameJob,
     PackedFrameReport,
+    SmoothJob,
+    SmoothReport,
 )
 
 R = TypeVar("R")
@@ -82,6 +84,11 @@ class Engine:
             return image
 
         return await _with_blobs(run, blobs)
+
+    async def smooth(self, job: SmoothJob) -> SmoothReport:
+        """A pass smoothed, beside the tracking."""
+        report: SmoothReport = await self.transport.call(None, "smooth", job)
+        return report
 
     async def describe(self) -> Mapping[str, Any]:
         """Devices, scorer and versions, as a worker sees them."""

@@ -33,7 +33,8 @@ def execute(worker: Worker, method: str, job: Any) -> Any:
 def _track(worker: Worker, packed: PackedFrameJob) -> PackedFrameReport:
     state = None if packed.state is None else decode(FilterState, packed.state)
     report = worker.track(replace(packed.job, state=state))
-    return PackedFrameReport(encode(report.state), report.estimate, dict(report.timing_ms), report.scorer)
+    belief = None if report.belief is None else encode(report.belief)
+    return PackedFrameReport(encode(report.state), report.estimate, dict(report.timing_ms), report.scorer, belief)
 
 
 def load_factory(path: str) -> Callable[[], Worker]:

@@ -32,8 +32,7 @@ from service.imaging.split import SplitFrame, split_frames
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
-from service.inference.rotation_rate import rotation_rate
-from service.inference.state import Array, Estimate, FilterState, Frame, Measurement, PoseEstimate, Poses
+from service.inference.state import Array, Frame, Measurement, PoseEstimate, Poses
 from service.inference.step import step
 from service.inference.symmetry import Symmetry
 from service.models.articulations import read_joints
@@ -47,8 +46,11 @@ from service.workers.base import (
     ModelJob,
     ModelReport,
     OverlayJob,
+    SmoothJob,
+    SmoothReport,
 )
 from service.workers.observation import observe, remember
+from service.workers.smoothing import belief_after, smooth_pass, with_rates
 from service.workers.splitting import SplitJob
 
 V = TypeVar("V")
@@ -157,16 +159,18 @@ class Tracker:
         scorer = self._scorers.get(job.model, lambda: open_scorer(mesh, backend=self._backend))
         timed = TimedScorer(scorer, articulation)
         height, width = image.image.shape[:2]
+        domain = Domain(width, height, mesh.radius, articulation, job.config.prior)
+        twins = self._twins.get(
+            f"{job.model}:{articulation}", lambda: held_symmetries(job.twins, job.articulation, articulation)
+        )
         state, estimate = step(
             np.random.Generator(np.random.Philox(key=np.array([job.config.filter.seed, job.frame_index], np.uint64))),
             job.state,
             Frame(job.frame_index, job.time_s, Measurement(maps.log_ratio, maps.log_background)),
             timed,
             job.config,
-            Domain(width, height, mesh.radius, articulation, job.config.prior),
-            self._twins.get(
-                f"{job.model}:{articulation}", lambda: held_symmetries(job.twins, job.articulation, articulation)
-            ),
+            domain,
+            twins,
         )
         best = estimate.best
         kept = remember(
@@ -177,7 +181,8 @@ class Tracker:
             lambda: draw_silhouette(mesh, articulation, best, (height, width)),
         )
         state = replace(state, memory=kept)
-        estimate = with_rotation_rates(estimate, state, job)
+        belief = belief_after(job, state, twins, domain)
+        estimate = with_rates(estimate, state, belief, job, domain)
         done = time.perf_counter()
         timing = {
             "decode": decoded - began,
@@ -186,7 +191,7 @@ class Tracker:
             "step": done - measured,
             "total": done - began,
         }
-        return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scorer.name)
+        return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scorer.name, belief)
 
     def overlay(self, job: OverlayJob) -> bytes:
         """PNG of the frame with the silhouette in blue."""
@@ -196,6 +201,10 @@ class Tracker:
         height, width = image.image.shape[:2]
         mask = draw_silhouette(mesh, job.articulation, pose, (height, width))
         return encode_png(draw_overlay(image.image, mask))
+
+    def smooth(self, job: SmoothJob) -> SmoothReport:
+        """Backwards over a pass that was tracked."""
+        return smooth_pass(job)
 
     def describe(self) -> Mapping[str, Any]:
         """Devices, scorer backend and versions."""
@@ -233,16 +242,6 @@ class TimedScorer:
         scores = self._scorer.score_many(transforms, maps)
         self.seconds += time.perf_counter() - began
         return scores
-
-
-def with_rotation_rates(estimate: Estimate, state: FilterState, job: FrameJob) -> Estimate:
-    """The estimate with the rates of its poses, from the second frame on of a filter that has rates."""
-    if job.state is None or job.config.motion.kind != "constant_velocity":
-        return estimate
-    mean, best = (
-        replace(pose, rotation_rate=rotation_rate(state, pose.quaternion)) for pose in (estimate.mean, estimate.best)
-    )
-    return replace(estimate, mean=mean, best=best)
 
 
 def draw_silhouette(

@@ -1,0 +1,89 @@
+"""A frame's weighted particles as a sum of Gaussians over poses and rates: what is kept of them for good."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.inference.domain import Domain
+from service.inference.estimate import mean_pose, tangent
+from service.inference.modes import cluster, distance, metric_of
+from service.inference.pose import concatenate
+from service.inference.state import Array, FilterState, Poses, Rates
+from service.inference.symmetry import Symmetry, refold
+from service.inference.update import MOST_SURPRISE
+
+MOST_MODES = 8
+LEAST_MODE = 1e-4  # a mode that holds less is left out
+
+
+@dataclass(frozen=True)
+class Belief:
+    """K modes, one of each set of twins; d = 6 + J. Rates are tangent velocities per second."""
+
+    time_s: float
+    widening: float  # the next prediction's noise is this many times the motion's
+    log_weights: Array  # (K,) of weights that sum to 1
+    poses: Poses  # (K) means
+    rates: Array  # (K, d) means
+    covariance: Array  # (K, 2d, 2d) of (pose in the tangent space of its mean, rates)
+
+    def __len__(self) -> int:
+        return len(self.log_weights)
+
+    @property
+    def n_tangent(self) -> int:
+        """d = 6 + J."""
+        return int(self.rates.shape[1])
+
+
+def belief_of(state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> Belief | None:
+    """The modes of a stored particle set, heaviest first; None where it holds nothing but the prior.
+
+    ``twins`` are those that the state was unfolded over (``symmetry.unfold``): each particle is taken back by its
+    turn, so that one mode stays one mode although its particles stand at several twins.
+    """
+    if state.status == "no_target" and float(np.asarray(state.memory.get("age", 0.0))) <= 0:
+        return None
+    poses, rates = refold(state.poses, state.rates, twins, domain)
+    weights = np.exp(state.log_weights)
+    labels = cluster(poses, state.log_weights, metric_of(domain.articulation))
+    share = np.bincount(labels, weights=weights)
+    heaviest = [int(k) for k in np.argsort(-share)[:MOST_MODES] if share[k] >= LEAST_MODE]
+    unknown = np.asarray(state.memory.get("rate_variance", np.zeros(domain.n_tangent)), dtype=np.float64)
+    means, rate_means, covariances = [], [], []
+    for k in heaviest:
+        members = np.flatnonzero(labels == k)
+        inner = weights[members] / share[k]
+        mean = domain.wrap(mean_pose(poses[members], inner, domain.wrapping))
+        rate = inner @ rates[members]
+        x = np.hstack([tangent(mean, poses[members], domain.wrapping), rates[members] - rate])
+        covariance = np.einsum("n,ni,nj->ij", inner, x, x)
+        # Particles that carry the mean of their own rate share the variance about it (``motion.RateFilter``).
+        covariance[domain.n_tangent :, domain.n_tangent :] += np.diag(unknown)
+        means.append(mean)
+        rate_means.append(rate)
+        covariances.append(covariance)
+    kept = share[heaviest] / share[heaviest].sum()
+    surprise = float(np.asarray(state.memory.get("surprise", 1.0)))
+    return Belief(
+        time_s=state.time_s,
+        widening=float(np.clip(np.sqrt(surprise), 1.0, MOST_SURPRISE)),
+        log_weights=np.log(kept),
+        poses=concatenate(*means),
+        rates=np.array(rate_means),
+        covariance=np.array(covariances),
+    )
+
+
+def rates_near(belief: Belief, pose: Poses, domain: Domain) -> Rates:
+    """Rates of the mode that is nearest to ``pose`` (a batch of one)."""
+    return rates_of(belief, int(np.argmin(distance(belief.poses, pose, metric_of(domain.articulation)))))
+
+
+def rates_of(belief: Belief, k: int) -> Rates:
+    """Rates of mode ``k`` with their standard deviations."""
+    variance = np.diag(belief.covariance[k])[belief.n_tangent :]
+    return Rates(belief.rates[k], np.sqrt(np.maximum(variance, 0.0)))

@@ -1,0 +1,57 @@
+"""A pass smoothed: beliefs in, estimates out. Needs neither images nor device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from service.inference.articulation import hold
+from service.inference.belief import Belief, belief_of, rates_near
+from service.inference.domain import Domain
+from service.inference.motion import rate_filter
+from service.inference.rotation_rate import rotation_rate
+from service.inference.smoothed import summarise_belief
+from service.inference.smoother import Space, smooth
+from service.inference.state import Estimate, FilterState, Poses
+from service.inference.symmetry import Symmetry
+from service.models.symmetry_group import held_symmetries
+from service.workers.base import FrameJob, SmoothJob, SmoothReport
+from service.workers.codec import decode
+
+_ANY_RADIUS = 1.0  # the body's size shifts the bounds of the scale; only their ratio counts here
+
+
+def smooth_pass(job: SmoothJob) -> SmoothReport:
+    """The smoothed marginals of the first ``job.count`` frames. Raises ``CheckpointError`` for a broken belief."""
+    articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
+    domain = Domain(job.width, job.height, _ANY_RADIUS, articulation, job.config.prior)
+    told = held_symmetries(job.twins, job.articulation, articulation)
+    space = Space(rate_filter(job.config.motion, domain, None), domain, told)
+    filtered = [None if packed is None else decode(Belief, packed) for packed in job.beliefs]
+    with_rates = job.config.motion.kind == "constant_velocity"
+    found = smooth(filtered, space)[: job.count]
+    return SmoothReport(
+        tuple(None if belief is None else summarise_belief(belief, told, domain, with_rates) for belief in found)
+    )
+
+
+def belief_after(job: FrameJob, state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> Belief | None:
+    """The posterior after a frame as modes; the paper's filter knows of no ``twins``."""
+    return belief_of(state, () if job.config.filter.method == "bootstrap" else twins, domain)
+
+
+def with_rates(
+    estimate: Estimate, state: FilterState, belief: Belief | None, job: FrameJob, domain: Domain
+) -> Estimate:
+    """The estimate with the rates of its poses, from the second frame on of a filter that has rates."""
+    if job.state is None or job.config.motion.kind != "constant_velocity":
+        return estimate
+    mean, best = (
+        replace(pose, rotation_rate=rotation_rate(state, pose.quaternion)) for pose in (estimate.mean, estimate.best)
+    )
+    if belief is None:
+        return replace(estimate, mean=mean, best=best)
+    batch = Poses(best.quaternion[None], best.position[None], np.log([best.scale]), np.asarray(best.joints)[None])
+    return replace(estimate, mean=mean, best=best, rates=rates_near(belief, batch, domain))
