@@ -13,7 +13,7 @@
 __kernel void propagate(
     __global const float4 *rotations, __global const float *values, __global const int *ancestors, const int n,
     __global const float *deviation, __global const float *low, __global const float *high,
-    __global const float *period, const uint2 seed, const uint frame,
+    __global const float *period, const ulong seed, const uint frame,
     __global float4 *moved_rotations, __global float *moved_values)
 {
     const int i = get_global_id(0);
@@ -79,7 +79,8 @@ __kernel void part_transforms(
     }
     const float4 camera = rotations[particle], turn = multiply(camera, motion.turn);
     const float scale = exp(values[2 * n + particle]);
-    const float3 x = scale * rotate(turn, (float3)(1.0f, 0.0f, 0.0f)), y = scale * rotate(turn, (float3)(0.0f, 1.0f, 0.0f));
+    const float3 x = scale * rotate(turn, (float3)(1.0f, 0.0f, 0.0f));
+    const float3 y = scale * rotate(turn, (float3)(0.0f, 1.0f, 0.0f));
     const float3 z = scale * rotate(turn, (float3)(0.0f, 0.0f, 1.0f));
     const float3 place = scale * rotate(camera, motion.shift) + (float3)(values[particle], values[n + particle], 0.0f);
     __global float4 *rows = transforms + 3 * (i * PARTS + part);

@@ -15,9 +15,9 @@ static uint4 philox(uint4 counter, uint2 key)
 enum { FOR_RESAMPLING, FOR_MOTION };
 
 // The four numbers of one particle's draw: no two particles, draws, purposes, frames or seeds share a counter and key.
-static uint4 draw(const uint2 seed, const uint frame, const uint purpose, const uint particle, const uint which)
+static uint4 draw(const ulong seed, const uint frame, const uint purpose, const uint particle, const uint which)
 {
-    return philox((uint4)(particle, which, frame, purpose), seed);
+    return philox((uint4)(particle, which, frame, purpose), as_uint2(seed));
 }
 
 // Four independent standard normal numbers (Box and Muller 1958).

@@ -1,19 +1,20 @@
 // Resampling by cumulative weights (Eq. 6).
 //
 // Weights are whole numbers of 2^-k of the heaviest one's, k chosen on the host so that the sum of all fits into 62
-// bits. Their sums are exact: the same on every device, never falling, and a particle of weight zero adds nothing and so
-// is never drawn. Drawing r below the last sum does what dividing all sums by it would.
+// bits. Their sums are exact in any order: they never fall, and a particle of weight zero adds nothing and so is never
+// drawn. Drawing r below the last sum does what dividing all sums by it would.
 //
 // Built with (gpu/step.py): GROUP, a power of two.
 
 #define TILE (2 * GROUP)
 
-// Replace v[0 .. TILE) by the sums of what is before each (Blelloch's work-efficient scan, 1990); returns the sum of all.
+// Replace v[0 .. TILE) by the sums of what is before each, and return the sum of all (Blelloch's work-efficient scan,
+// 1990).
 static ulong sums_before(__local ulong *v)
 {
     const int me = get_local_id(0);
     int stride = 1;
-    for (int pairs = GROUP; pairs > 0; pairs /= 2) {          // up: every node of the tree becomes the sum of its leaves
+    for (int pairs = GROUP; pairs > 0; pairs /= 2) {      // up: every node of the tree becomes the sum of its leaves
         barrier(CLK_LOCAL_MEM_FENCE);
         if (me < pairs) v[stride * (2 * me + 2) - 1] += v[stride * (2 * me + 1) - 1];
         stride *= 2;
@@ -22,7 +23,7 @@ static ulong sums_before(__local ulong *v)
     const ulong total = v[TILE - 1];
     barrier(CLK_LOCAL_MEM_FENCE);
     if (me == 0) v[TILE - 1] = 0;
-    for (int pairs = 1; pairs <= GROUP; pairs *= 2) {         // down: every node tells its children what is before them
+    for (int pairs = 1; pairs <= GROUP; pairs *= 2) {     // down: every node tells its children what is before them
         stride /= 2;
         barrier(CLK_LOCAL_MEM_FENCE);
         if (me < pairs) {
@@ -36,7 +37,7 @@ static ulong sums_before(__local ulong *v)
     return total;
 }
 
-// Sums of the weights within each tile, up to and with each particle; `heaviest` is the weight for a log weight of zero.
+// Sums of the weights within each tile, up to and with each particle; `heaviest` is the weight of a log weight of 0.
 __kernel void sum_tiles(
     __global const float *log_weights, const int n, const float heaviest,
     __global ulong *cumulative, __global ulong *tile_sums)
@@ -105,7 +106,7 @@ static int first_above(__global const ulong *cumulative, const int n, const ulon
 
 // A fresh r per particle: Eq. 6 as written.
 __kernel void multinomial(
-    __global const ulong *cumulative, const int n, const uint2 seed, const uint frame, __global int *ancestors)
+    __global const ulong *cumulative, const int n, const ulong seed, const uint frame, __global int *ancestors)
 {
     const int i = get_global_id(0);
     if (i >= n) return;
@@ -115,7 +116,7 @@ __kernel void multinomial(
 
 // One r for all (Kitagawa 1996).
 __kernel void systematic(
-    __global const ulong *cumulative, const int n, const uint2 seed, const uint frame, __global int *ancestors)
+    __global const ulong *cumulative, const int n, const ulong seed, const uint frame, __global int *ancestors)
 {
     const int i = get_global_id(0);
     if (i >= n) return;

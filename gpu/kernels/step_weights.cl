@@ -5,6 +5,11 @@
 //
 // Built with (gpu/step.py): GROUP, JOINTS; needs step_rotation.cl and step_motion.cl before it.
 
+static bool comes_first(const long score, const int particle, const long other_score, const int other)
+{
+    return score > other_score || (score == other_score && particle < other);
+}
+
 // The best score of each group's particles, and the first particle that has it.
 __kernel void find_best(__global const long *scores, const int n, __global long *best_scores, __global int *best)
 {
@@ -20,10 +25,8 @@ __kernel void find_best(__global const long *scores, const int n, __global long 
         }
     for (int half_group = GROUP / 2; half_group > 0; half_group /= 2) {
         barrier(CLK_LOCAL_MEM_FENCE);
-        if (me >= half_group) continue;
         const int other = me + half_group;
-        const bool better = score[other] > score[me], same = score[other] == score[me];
-        if (better || (same && particle[other] < particle[me])) {
+        if (me < half_group && comes_first(score[other], particle[other], score[me], particle[me])) {
             score[me] = score[other];
             particle[me] = particle[other];
         }
@@ -55,8 +58,8 @@ static float sum_over_group(__local float *terms, const float mine)
     return terms[0];
 }
 
-// w, w^2, then w times: x, y, scale; each joint's value, cosine and sine; the ten products of the quaternion with itself
-// (x x, x y, x z, x w, y y, ...).
+// w, w^2, then w times: x, y, scale; each joint's value, cosine and sine; the ten products of the quaternion with
+// itself (x x, x y, x z, x w, y y, ...).
 #define MEAN_SUMS (5 + 3 * JOINTS + 10)
 
 __kernel void sums_for_mean(
@@ -91,21 +94,23 @@ __kernel void sums_for_mean(
     }
 }
 
-// w times: the tangent coordinates about the mean; their products (0 0, 0 1, ..., 1 1, ...); the squared difference of
-// the scales.
+// w times: the tangent coordinates about `mean` (its quaternion, then its values); their products (0 0, 0 1, ..., 1 1,
+// ...); the squared difference of the scales.
 #define SPREAD_SUMS (TANGENT + TANGENT * (TANGENT + 1) / 2 + 1)
 
 __kernel void sums_for_spread(
     __global const float4 *rotations, __global const float *values, __global const float *log_weights, const int n,
-    const float4 mean_rotation, __global const float *mean_values, __global const float *period, __global float *sums)
+    __global const float *mean, __global const float *period, __global float *sums)
 {
+    const float4 back = inverse(vload4(0, mean));
+    __global const float *mean_values = mean + 4;
     __local float terms[GROUP];
     float sum[SPREAD_SUMS];
     for (int k = 0; k < SPREAD_SUMS; ++k) sum[k] = 0.0f;
     for (int i = get_global_id(0); i < n; i += get_global_size(0)) {
         const float w = exp(log_weights[i]);
         float t[TANGENT];
-        vstore3(rotation_vector(multiply(inverse(mean_rotation), rotations[i])), 0, t);
+        vstore3(rotation_vector(multiply(back, rotations[i])), 0, t);
         for (int k = 0; k < VALUES; ++k) {
             const float apart = values[k * n + i] - mean_values[k];
             t[3 + k] = period[k] > 0.0f ? apart - period[k] * rint(apart / period[k]) : apart;    // the short way round
