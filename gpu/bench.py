@@ -105,7 +105,7 @@ def contestants(names: Sequence[str] | None = None) -> list[Contestant]:
     return [
         Contestant(name, partial(scorers.open_scorer, backend=name), name == "opengl")
         for name in offered
-        if not names or name in names
+        if names is None or name in names
     ]
 
 

@@ -60,7 +60,9 @@ def _parts(detail: int) -> tuple[Solid, Solid]:
         width = 2.8 / columns
         wing.append(box((2.0, 0.94 * width, 0.04)).moved((0.0, centre, 0.0)))
         wing.append(box((0.06, 0.96 * width, 0.1)).moved((1.03, centre, 0.0)))
-        wing.append(cone(0.05, 0.05, 1.9, sides).moved((0.0, centre + 0.48 * width, 0.0), rotation_about((0, 1, 0), 90)))
+        wing.append(
+            cone(0.05, 0.05, 1.9, sides).moved((0.0, centre + 0.48 * width, 0.0), rotation_about((0, 1, 0), 90))
+        )
     return merged(bus), merged(wing)
 
 

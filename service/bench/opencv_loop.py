@@ -11,6 +11,7 @@ from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
 from gpu.reference import project
 
+NAME = "opencv"
 FRACTION_BITS = 6  # of OpenCV's fixed-point coordinates
 
 
@@ -48,7 +49,7 @@ class OpenCvLoop(LoopingScorer):
 
 def opencv_contestant() -> Contestant:
     """The loop, as a scorer among the others."""
-    return Contestant("opencv", OpenCvLoop, draws_edges=True)
+    return Contestant(NAME, OpenCvLoop, draws_edges=True)
 
 
 def _towards_camera(corners: NDArray[np.float32]) -> NDArray[np.bool_]:

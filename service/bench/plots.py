@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.bench.plotting import PlotsMissingError, require_matplotlib
 from service.bench.runner import CaseResult
 from service.bench.scoring import FrameScore
 from service.bench.summary import Row, radius_factor, settled
@@ -18,24 +19,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = ["PlotsMissingError", "require_matplotlib", "write_plots"]
+
 _MOST_PANELS = 12  # more passes than this are shown as one distribution
 _COLUMNS = 3
 _LEAST_DEG = 0.05
 _BINS = 6
 _COLOURS = [f"C{k}" for k in range(10)] + ["black", "gold", "navy", "lime", "salmon", "teal"]
 CONDITIONS = {"snr": "SNR per pixel", "d_over_r0": "D / r0", "size_px": "size of the body, px"}
-
-
-class PlotsMissingError(RuntimeError):
-    """matplotlib is not installed."""
-
-
-def require_matplotlib() -> None:
-    """Raises ``PlotsMissingError`` before an hour of benchmark is spent on a report that cannot be drawn."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise PlotsMissingError("plots need matplotlib: pip install 'skypose[bench]'") from error
 
 
 def write_plots(results: Sequence[CaseResult], rows: Sequence[Row], folder: Path) -> dict[str, str]:

@@ -10,6 +10,9 @@ from typing import Annotated
 
 import typer
 
+from service.cli.bench_scorers import scorers
+from service.cli.bench_step import step
+
 bench = typer.Typer(name="bench", no_args_is_help=True, help="Benchmarks: accuracy, calibration and time.")
 
 Folder = Annotated[Path | None, typer.Argument(help="Folder of sequences (case.json in each), or one sequence.")]
@@ -25,6 +28,9 @@ Size = Annotated[str, typer.Option(help="Of simulated images.")]
 Frames = Annotated[int, typer.Option(min=1, help="Of each simulated pass.")]
 Root = Annotated[Path | None, typer.Option("--meshes", help="Where the sequences' meshes lie, if not beside them.")]
 Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE for all sessions; may be repeated.")]
+
+bench.command()(scorers)
+bench.command()(step)
 
 
 @bench.command()

@@ -1,0 +1,219 @@
+"""A whole step of the filter, from resampling to the estimate: how long, how much of it is scoring, how much memory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpu.bench import Contestant, contestants
+from gpu.errors import ScorerError
+from gpu.mesh import Mesh
+from gpu.scorer import Scorer
+from service.bench.peak_memory import peak_mib
+from service.bench.step_scene import INTERVAL_S, StepScene, step_scene
+from service.inference.articulation import part_transforms
+from service.inference.params import (
+    FilterParams,
+    LikelihoodParams,
+    MotionParams,
+    SessionConfig,
+    preset_defaults,
+)
+from service.inference.state import Array, FilterState, Frame, Measurement, Poses
+from service.inference.step import step
+
+WARM_FRAMES = 3  # the default method finds the pose in the first and knows the rates after the third
+
+
+@dataclass(frozen=True)
+class StepPlan:
+    """What is measured, and how long."""
+
+    particles: tuple[int, ...] = (1_000, 10_000, 100_000)
+    size_px: int = 512
+    repeats: int = 7
+    longest_s: float = 30.0  # a step that would take longer is left out
+    seed: int = 0
+
+
+QUICK = StepPlan(repeats=3, longest_s=2.0)
+
+
+@dataclass(frozen=True)
+class StepRow:
+    """Medians over the repeats. ``step`` says what was run, ``score_share`` is the scorer's share of the time."""
+
+    backend: str
+    step: str
+    particles: int
+    size_px: int
+    faces: int
+    step_ms: float
+    score_ms: float
+    score_share: float
+    peak_mib: float | None  # largest resident size of the process during a step; None where the system does not say
+    device: str
+
+
+@dataclass
+class StepFigures:
+    """Rows, and what was left out and why."""
+
+    rows: list[StepRow] = field(default_factory=list)
+    absent: dict[str, str] = field(default_factory=dict)
+
+
+class StepRunner(Protocol):
+    """A filter that carries its own state from frame to frame."""
+
+    device: str
+
+    def run(self, frame: int) -> float:
+        """One step; seconds of it that the scorer took."""
+
+
+RunnerOf = Callable[[Scorer, StepScene, int, int], StepRunner]
+
+
+@dataclass(frozen=True)
+class StepContestant:
+    """A way to make a step, with the scorer that it uses; ``make`` takes scorer, scene, particles and seed."""
+
+    name: str
+    scorer: Contestant
+    make: RunnerOf
+
+    @property
+    def title(self) -> str:
+        """Both in one."""
+        return f"{self.scorer.name}, {self.name}"
+
+
+class HostStep:
+    """``service.inference.step`` with a preset, as a session runs it."""
+
+    def __init__(self, preset: str, scorer: Scorer, scene: StepScene, particles: int, seed: int) -> None:
+        self.device = scorer.name
+        self._scorer, self._scene, self._seed, self._seconds = scorer, scene, seed, 0.0
+        self._config = config_of(preset, particles)
+        self._state: FilterState | None = None
+        if self._config.filter.method == "bootstrap":  # from the whole prior it would take long to find the pose
+            self._state = scene.near_truth(np.random.default_rng(seed), particles, self._config)
+
+    def run(self, frame: int) -> float:
+        """See ``StepRunner``."""
+        self._seconds = 0.0
+        rng = np.random.Generator(np.random.Philox(key=np.array([self._seed, frame], np.uint64)))
+        seen = Frame(frame, frame * INTERVAL_S, Measurement(self._scene.log_ratio, 0.0))
+        self._state, _ = step(rng, self._state, seen, self._score_maps, self._config, self._scene.domain)
+        return self._seconds
+
+    def _score_maps(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
+        transforms = part_transforms(self._scene.articulation, poses)
+        began = time.perf_counter()
+        scores = self._scorer.score_many(transforms, maps)
+        self._seconds += time.perf_counter() - began
+        return scores
+
+
+PRESETS = {"paper": "paper, on the host", "balanced": "balanced, on the host"}
+
+
+def step_contestants(backends: Sequence[str]) -> list[StepContestant]:
+    """The steps that can be compared with each of these scorers. Raises ``ScorerError`` for an unknown one."""
+    return [
+        StepContestant(title, scorer, partial(HostStep, preset))
+        for scorer in contestants(backends)
+        for preset, title in PRESETS.items()
+    ]
+
+
+def config_of(preset: str, particles: int) -> SessionConfig:
+    """A session's configuration with this preset and number of particles."""
+    given = preset_defaults(preset)
+    return SessionConfig(
+        filter=FilterParams(**{**given.get("filter", {}), "particles": particles}),
+        likelihood=LikelihoodParams(**given.get("likelihood", {})),
+        motion=MotionParams(**given.get("motion", {})),
+    )
+
+
+def bench_step(
+    entries: Sequence[StepContestant], mesh: Mesh, plan: StepPlan, tell: Callable[[str], None] = lambda line: None
+) -> StepFigures:
+    """Measure all contestants at every number of particles; they take turns, step by step."""
+    figures = StepFigures()
+    scene = step_scene(mesh, plan.size_px, plan.seed)
+    with ExitStack() as stack:
+        opened: dict[str, Scorer] = {}
+        for scorer in {entry.scorer.name: entry.scorer for entry in entries}.values():
+            try:
+                opened[scorer.name] = scorer.open(mesh)
+                stack.callback(opened[scorer.name].close)
+            except ScorerError as error:
+                figures.absent[scorer.name] = str(error)
+        left = [entry for entry in entries if entry.scorer.name in opened]
+        for particles in plan.particles:
+            tell(f"{particles:,} particles")
+            left = _affordable(left, figures, particles, plan)
+            _measure(left, opened, scene, particles, figures, plan)
+    return figures
+
+
+def _affordable(
+    entries: Sequence[StepContestant], figures: StepFigures, particles: int, plan: StepPlan
+) -> list[StepContestant]:
+    """Those whose step, by what a smaller one took, stays within ``plan.longest_s``."""
+    kept = []
+    for entry in entries:
+        smaller = [row for row in figures.rows if (row.backend, row.step) == (entry.scorer.name, entry.name)]
+        expected_s = 1e-3 * smaller[-1].step_ms * particles / smaller[-1].particles if smaller else 0.0
+        if expected_s > plan.longest_s:
+            figures.absent[entry.title] = f"{particles:,} particles would take about {expected_s:.0f} s a step"
+        else:
+            kept.append(entry)
+    return kept
+
+
+def _measure(
+    entries: Sequence[StepContestant],
+    opened: dict[str, Scorer],
+    scene: StepScene,
+    particles: int,
+    figures: StepFigures,
+    plan: StepPlan,
+) -> None:
+    runners = [entry.make(opened[entry.scorer.name], scene, particles, plan.seed) for entry in entries]
+    for runner in runners:
+        for frame in range(1, 1 + WARM_FRAMES):
+            runner.run(frame)
+    times: list[list[tuple[float, float]]] = [[] for _ in runners]
+    for repeat in range(plan.repeats):
+        for runner, taken in zip(runners, times, strict=True):
+            began = time.perf_counter()
+            scoring_s = runner.run(1 + WARM_FRAMES + repeat)
+            taken.append((time.perf_counter() - began, scoring_s))
+    for entry, runner, taken in zip(entries, runners, times, strict=True):
+        step_s, score_s = np.median(taken, axis=0)
+        memory = peak_mib(lambda now=runner: now.run(1 + WARM_FRAMES + plan.repeats))  # type: ignore[misc]
+        figures.rows.append(
+            StepRow(
+                backend=entry.scorer.name,
+                step=entry.name,
+                particles=particles,
+                size_px=plan.size_px,
+                faces=scene.mesh.n_faces,
+                step_ms=1e3 * float(step_s),
+                score_ms=1e3 * float(score_s),
+                score_share=float(np.median([scored / whole for whole, scored in taken])),
+                peak_mib=memory,
+                device=runner.device,
+            )
+        )
