@@ -145,9 +145,9 @@ def follow_once(run: int, frames: int) -> tuple[np.ndarray, Draws, np.random.Gen
 
 
 def test_ranks_are_uniform_after_three_frames_of_following():
-    """200 tracks; the posterior of a frame is the prior of the next as a Gaussian, which is all that is approximate."""
+    """120 tracks; the posterior of a frame is the prior of the next as a Gaussian, which is all that is approximate."""
     ranks = []
-    for run in range(200):
+    for run in range(120):
         truth, draws, rng = follow_once(run, 3)
         ranks.append(rank(rng, draws, truth, draws.log_weights))
     assert least_chance(np.array(ranks) // 4, RANKS // 4) > 1e-3
