@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model, model_validator
 from pydantic.json_schema import WithJsonSchema
 
+from service.api.rates import Rates
 from service.api.sky import Attitude, Camera
 from service.api.wire import Orientation, Wire
 from service.inference.params import SessionConfig
@@ -83,27 +84,14 @@ class Mode(Wire):
     spread: Spread
 
 
-class AxisRates(Wire):
-    """About the body's axes."""
+class RankedModel(Wire):
+    """A model that the object may be."""
 
-    x: float
-    y: float
-    z: float
-
-
-class JointRate(Wire):
-    """Degrees (revolute) or model units (prismatic) per second."""
-
-    rate_per_s: float
-    spread_per_s: float
-
-
-class Rates(Wire):
-    """How fast the pose changes against the camera, in the mode of `best`; spreads are standard deviations."""
-
-    angular_velocity_deg_s: AxisRates
-    spread_deg_s: AxisRates
-    joints: dict[str, JointRate]
+    model_id: str
+    probability: float
+    """Given all frames so far, where all models were equally probable before."""
+    log_evidence: float
+    """Sum over the frames so far."""
 
 
 class Estimate(Wire):
@@ -122,6 +110,8 @@ class Estimate(Wire):
     modes: list[Mode]
     rates: Rates | None = None
     """Null in the first frame, and with a motion that has no rates."""
+    models: list[RankedModel] | None = None
+    """Only in a session that compares models: most probable first; the estimate is that of the first."""
     smoothed: bool | None = None
     """With `?smoothed=true` only: whether later frames could be taken into account."""
     camera: Camera | None = None
@@ -221,10 +211,20 @@ SECTION_NAMES = tuple(_SECTIONS)
 
 
 class _SessionHead(Wire):
-    model_id: str
+    model_id: str | None = None
     """From the model's upload."""
+    model_ids: Annotated[list[str], Field(min_length=2, max_length=16)] | None = None
+    """Instead: the models that the object may be. Every frame costs as much as it does under all of them."""
     name: Annotated[str, Field(max_length=200)] | None = None
     """For people."""
+
+    @model_validator(mode="after")
+    def _one_or_several(self) -> Self:
+        if (self.model_id is None) == (self.model_ids is None):
+            raise ValueError("give either model_id or model_ids")
+        if self.model_ids is not None and len(set(self.model_ids)) < len(self.model_ids):
+            raise ValueError("model_ids names a model twice")
+        return self
 
 
 SessionRequest = create_model("SessionRequest", __base__=_SessionHead, **_SECTIONS)
@@ -236,7 +236,10 @@ class Session(Wire):
 
     session_id: str
     name: str | None
-    model_id: str
+    model_id: str | None
+    """Null where models are compared."""
+    model_ids: list[str] | None = None
+    """The models that are compared."""
     state: Literal["waiting_for_background", "ready"]
     status: Literal["acquiring", "tracking", "lost", "no_target"] | None
     """Of the last estimate."""

@@ -28,10 +28,14 @@ _REQUEST = {
     openapi_extra=_REQUEST,
 )
 async def create_session(request: Request, response: Response, services: ServicesDep) -> dict[str, Any]:
-    """Begin a session for one object. The answer holds the whole effective configuration."""
+    """Begin a session for one object. The answer holds the whole effective configuration.
+
+    With `model_ids` every frame is tracked under each model, and `models` of each estimate says how probable they are.
+    """
     wanted = (await read_json(request, schemas.SessionRequest)).model_dump(exclude_none=True)
     sections = {name: wanted[name] for name in schemas.SECTION_NAMES if name in wanted}
-    session = await services.registry.create(wanted["model_id"], wanted.get("name"), sections)
+    model_ids = wanted.get("model_ids") or [wanted["model_id"]]
+    session = await services.registry.create(model_ids, wanted.get("name"), sections)
     response.headers["Location"] = f"/v1/sessions/{session['session_id']}"
     return session
 

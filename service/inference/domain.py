@@ -47,6 +47,14 @@ class Domain:
         return np.array([j.minimum for j in joints]), np.array([j.maximum for j in joints])
 
     @property
+    def log_volume(self) -> float:
+        """Log of the volume of all poses in tangent units: the uniform prior's density is its inverse."""
+        low, high = self.log_scale_bounds
+        least, greatest = self.joint_bounds
+        sizes = np.array([8 * np.pi**2, self.width, self.height, high - low, *(greatest - least)])
+        return float(np.sum(np.log(sizes)))
+
+    @property
     def wrapping(self) -> NDArray[np.bool_]:
         """(J,) joints that turn all the way round."""
         return np.array([j.kind == "revolute" and j.maximum - j.minimum >= 360 for j in self.articulation.joints], bool)

@@ -49,3 +49,16 @@ def island_components(update: Update, islands: Islands, log_weight: float) -> li
     share = log_weight - float(np.log(len(islands)))
     alone = [islands.best[np.array([k])] for k in range(len(islands))]
     return [Component(share, best, reach, np.zeros(d), np.zeros((d, d)), rates) for best in alone]
+
+
+def log_occam(update: Update, n_islands: int) -> float:
+    """What the evidence of ``island_components`` is too large by, as a log: add it before models are compared.
+
+    Each of the islands was given a prior around the peak that the frame itself showed. The prior that knew nothing is
+    uniform over the whole space, where an island has the share (2 pi)^(d/2) prod(reach) / volume; it counts in full
+    beside the other islands, and once for every twin. A joint more is a dimension more: without this a model with
+    joints would be favoured.
+    """
+    reach = search_reach(update.domain)
+    share = 0.5 * len(reach) * np.log(2 * np.pi) + np.sum(np.log(reach)) - update.domain.log_volume
+    return float(share + np.log(n_islands * (len(update.twins) + 1)))

@@ -160,12 +160,9 @@ def alike(mode: Gaussian, space: Space) -> Iterator[Gaussian]:
 
 def _log_unknown(rate: Array, space: Space) -> float:
     """Log density of a pose and its rates where nothing is known of them: uniform, and the rates' own prior."""
-    domain, variance = space.domain, space.motion.variance + _FLOOR
-    least, greatest = domain.joint_bounds
-    low, high = domain.log_scale_bounds
-    sizes = np.array([8 * np.pi**2, domain.width, domain.height, high - low, *(greatest - least)])
+    variance = space.motion.variance + _FLOOR
     normal = -0.5 * (np.sum(rate**2 / variance) + np.sum(np.log(2 * np.pi * variance)))
-    return float(normal - np.sum(np.log(sizes)))
+    return float(normal) - space.domain.log_volume
 
 
 def _collect(

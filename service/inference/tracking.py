@@ -18,7 +18,7 @@ from service.inference.motion import carry_on
 from service.inference.params import SessionConfig
 from service.inference.pose import local
 from service.inference.resample import RESAMPLERS
-from service.inference.search import island_components, search_islands
+from service.inference.search import island_components, log_occam, search_islands
 from service.inference.state import FilterState, Frame, Outcome, Poses
 from service.inference.symmetry import Symmetry
 from service.inference.update import ScoreMaps, Update
@@ -113,7 +113,8 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None) -> Draws:
     if tracked is None:
         if update.config.filter.method == "tempered":
             return strew(update, islands)
-        return replace(mixture_posterior(update, island_components(update, islands, 0.0)), memory={})
+        parts = island_components(update, islands, log_occam(update, len(islands)))
+        return replace(mixture_posterior(update, parts), memory={})
     top = int(np.argmax(tracked.log_likelihood))
     away = distance(islands.best, tracked.poses[top : top + 1], update.metric) > 1.0
     if not np.any(away):
@@ -124,7 +125,9 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None) -> Draws:
     pick = RESAMPLERS[update.config.filter.resampler](
         update.rng, normalise(both.log_weights)[0], update.config.filter.particles
     )
-    total = normalise(both.log_weights)[1] - float(np.log(len(pick)))
+    # The newcomers' weight is the filter's choice; as evidence they count for what the whole space gives them.
+    known, new = normalise(tracked.log_weights)[1], normalise(found.log_weights)[1] + log_occam(update, len(elsewhere))
+    total = float(np.logaddexp(known, new)) - float(np.log(len(pick)))
     return Draws(both.poses[pick], both.rates[pick], both.log_likelihood[pick], np.full(len(pick), total))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -17,6 +17,7 @@ from service.inference.articulation import hold
 from service.inference.params import SessionConfig
 from service.inference.state import FilterState
 from service.sessions import config as session_config
+from service.sessions.contenders import require_one_model
 from service.sessions.document import JointNames
 from service.sessions.frame_fits import frame_fits
 from service.sessions.library import articulation_of
@@ -70,8 +71,9 @@ class Archive:
     async def overlay(self, session_id: str, index: int) -> bytes:
         """PNG of a frame with its best silhouette. Raises ``GoneError`` where the frame is no longer kept."""
         body, media_type = await self.database.read(frames.body, session_id, index)
-        best = orjson.loads(await self.estimate(session_id, index))["best"]
-        model, config = await self._setting(session_id)
+        estimate = orjson.loads(await self.estimate(session_id, index))
+        best = estimate["best"]
+        model, config = await self._setting(session_id, estimate)
         articulation = hold(articulation_of(model), config.joints.free, config.joints.fixed)
         job = OverlayJob(
             model=model.blob_key,
@@ -95,16 +97,18 @@ class Archive:
     async def particles(self, session_id: str, index: int | None) -> tuple[int, bytes, tuple[str, ...]]:
         """Frame, packed state and joint names of a particle set. Raises ``GoneError`` where it is not kept."""
         found, packed = await self.database.read(frames.particle_set, session_id, index)
-        return found, packed, await self.joint_names(session_id)
+        return found, packed, await self.joint_names(session_id, found)
 
-    async def joint_names(self, session_id: str) -> tuple[str, ...]:
-        """Names of the estimated joints, in the order of their columns."""
-        model, config = await self._setting(session_id)
+    async def joint_names(self, session_id: str, index: int | None = None) -> tuple[str, ...]:
+        """Names of the estimated joints, in the order of their columns; ``index``: under the model of that frame."""
+        estimate = None if index is None else orjson.loads(await self.estimate(session_id, index))
+        model, config = await self._setting(session_id, estimate)
         return JointNames.of(articulation_of(model), config).free
 
     async def export(self, session_id: str, form: str, pose: PoseName, *, name: str | None, object_id: str) -> bytes:
         """The history as a file. Raises ``ConflictError`` for an attitude format without any attitude."""
         record = await self.database.read(sessions.get, session_id)
+        require_one_model(record, "export")
         joints = await self.joint_names(session_id)
         found, _ = await self.estimates(session_id, -1, EVERYTHING)
         subject = Subject(name or record.name or session_id, object_id, joints, datetime.now(UTC))
@@ -115,9 +119,13 @@ class Archive:
         await self.database.read(sessions.get, session_id)
         raise NotFoundError(f"no frame with key {key!r}", field="key")
 
-    async def _setting(self, session_id: str) -> tuple[ModelRecord, SessionConfig]:
+    async def _setting(
+        self, session_id: str, estimate: Mapping[str, Any] | None = None
+    ) -> tuple[ModelRecord, SessionConfig]:
+        """Model and configuration; where models are compared, the model that ``estimate`` was made with."""
         record = await self.database.read(sessions.get, session_id)
-        model = await self.database.read(models.get, record.model_id)
+        ranked = None if estimate is None else estimate.get("models")
+        model = await self.database.read(models.get, ranked[0]["model_id"] if ranked else record.model_id)
         return model, session_config.parse(orjson.dumps(record.config))
 
     async def _blob(self, key: str) -> bytes:
@@ -146,7 +154,8 @@ def session_document(record: SessionRecord) -> dict[str, Any]:
     return {
         "session_id": record.id,
         "name": record.name,
-        "model_id": record.model_id,
+        "model_id": None if record.model_ids else record.model_id,
+        "model_ids": list(record.model_ids) or None,
         "state": "waiting_for_background" if record.background_key is None else "ready",
         "status": record.status,
         "frames": record.next_index,
@@ -158,7 +167,7 @@ def session_document(record: SessionRecord) -> dict[str, Any]:
         "warnings": list(record.warnings),
         **record.config,
         "links": {
-            "model": f"/v1/models/{record.model_id}",
+            **({} if record.model_ids else {"model": f"/v1/models/{record.model_id}"}),
             **{name: f"{here}/{name}" for name in ("background", "frames", "estimates", "particles")},
             **{name: f"{here}/{name}" for name in ("stream", "events", "checkpoint", "export")},
         },

@@ -20,6 +20,7 @@ from service.errors import CheckpointError, InputError
 from service.inference.state import STATUSES, FilterState
 from service.sessions import config as session_config
 from service.sessions.archive import session_document
+from service.sessions.contenders import require_one_model
 from service.sessions.document import JointNames
 from service.sessions.library import Library, Upload, articulation_of, content_id
 from service.sessions.registry import Registry
@@ -30,7 +31,7 @@ from service.store.database import Database
 from service.workers.codec import decode, encode
 
 SESSION_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_NOT_CARRIED = ("id", "epoch", "number")
+_NOT_CARRIED = ("id", "epoch", "number", "model_ids")
 Bytes = NDArray[np.uint8]
 
 
@@ -57,6 +58,7 @@ class Checkpoints:
     async def get(self, session_id: str) -> bytes:
         """The session as it stands. Raises ``NotFoundError``."""
         stored = await self._database.read(checkpoints.read, session_id)
+        require_one_model(stored.record, "checkpoint")
         return await asyncio.to_thread(pack, stored)
 
     async def put(self, session_id: str, blob: bytes) -> tuple[dict[str, Any], bool]:

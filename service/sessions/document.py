@@ -35,9 +35,17 @@ class JointNames:
 
 
 def estimate_document(
-    session_id: str, index: int, time: str, names: JointNames, report: PackedFrameReport, view: View | None = None
+    session_id: str,
+    index: int,
+    time: str,
+    names: JointNames,
+    report: PackedFrameReport,
+    view: View | None = None,
+    models: Sequence[Mapping[str, Any]] | None = None,
 ) -> bytes:
     """The answer to a frame as JSON bytes; ``view`` is the camera among the stars, where it is known.
+
+    ``models`` are those that the session compares, the one of ``report`` first.
 
     Raises ``SkyposeError`` if a number in it is not finite.
     """
@@ -63,6 +71,8 @@ def estimate_document(
         "timing_ms": {name: round(float(value), 3) for name, value in report.timing_ms.items()},
         "scorer": report.scorer,
     }
+    if models is not None:
+        data["models"] = list(models)
     _require_finite(data, "estimate")  # orjson would write null
     return orjson.dumps(data)
 

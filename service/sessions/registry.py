@@ -5,20 +5,22 @@ from __future__ import annotations
 import asyncio
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
 import orjson
 import structlog
 
+from service.inference.params import SessionConfig
 from service.sessions import config as session_config
 from service.sessions.archive import session_document
+from service.sessions.contenders import Contender
 from service.sessions.frame import format_time
 from service.sessions.library import articulation_of
 from service.sessions.session import Rooms, Session
 from service.store import checkpoints, models, sessions
-from service.store.base import SessionRecord
+from service.store.base import SessionRecord, StoredContender
 from service.store.checkpoints import StoredSession
 
 log = structlog.get_logger(__name__)
@@ -40,18 +42,24 @@ class Registry:
         """Sessions in memory."""
         return self._resident
 
-    async def create(self, model_id: str, name: str | None, sections: Mapping[str, Any]) -> dict[str, Any]:
-        """A new session. Raises ``NotFoundError`` for the model, ``ConfigError`` for the rest."""
-        model = await self._rooms.database.read(models.get, model_id)
+    async def create(self, model_ids: Sequence[str], name: str | None, sections: Mapping[str, Any]) -> dict[str, Any]:
+        """A new session; of several models, one that compares them.
+
+        Raises ``NotFoundError`` for a model, ``ConfigError`` for the rest.
+        """
         config = session_config.effective(sections)
-        warnings = session_config.check_joints(config, articulation_of(model))
+        warnings: list[str] = []
+        for model_id in model_ids:
+            model = await self._rooms.database.read(models.get, model_id)
+            warnings += session_config.check_joints(config, articulation_of(model))
         now = format_time(datetime.now(UTC))
         record = SessionRecord(
             id=str(uuid.uuid4()),
-            model_id=model_id,
+            model_id=model_ids[0],
             name=name,
             config=session_config.document(config),
-            warnings=warnings,
+            warnings=tuple(dict.fromkeys(warnings)),
+            model_ids=tuple(model_ids) if len(model_ids) > 1 else (),
             created_at=now,
             updated_at=now,
         )
@@ -118,12 +126,25 @@ class Registry:
         if old is not None:
             await old.inbox.close()
         record, state = await self._rooms.database.write(sessions.claim, session_id)
-        model = await self._rooms.database.read(models.get, record.model_id)
         config = session_config.parse(orjson.dumps(record.config))
-        owner = Session(self._rooms, record, model, articulation_of(model), config, state)
+        owner = Session(self._rooms, record, config, await self._contenders(record, config, state))
         self._resident[session_id] = owner
         log.info("session restored", session_id=session_id, next_index=record.next_index)
         return owner
+
+    async def _contenders(
+        self, record: SessionRecord, config: SessionConfig, state: bytes | None
+    ) -> tuple[Contender, ...]:
+        database = self._rooms.database
+        compared = await database.read(sessions.compared, record.id)
+        if not compared:
+            compared = [StoredContender(record.model_id, state, 0.0)]
+        return tuple(
+            [
+                Contender.of(await database.read(models.get, one.model_id), config, one.state, one.log_evidence)
+                for one in compared
+            ]
+        )
 
     def _let_go(self, owner: Session) -> None:
         del self._resident[owner.record.id]

@@ -15,11 +15,11 @@ import structlog
 from service.errors import IdempotencyKeyError, NoBackgroundError
 from service.imaging.decode import read_facts
 from service.imaging.facts import FrameFacts
-from service.inference.articulation import Articulation
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
 from service.sessions.absolute import View
-from service.sessions.document import JointNames, as_duplicate, estimate_document
+from service.sessions.contenders import Contender, leader, ranking, stored
+from service.sessions.document import as_duplicate, estimate_document
 from service.sessions.frame import (
     Answer,
     BackgroundAnswer,
@@ -32,10 +32,9 @@ from service.sessions.frame import (
 )
 from service.sessions.hub import Hub
 from service.sessions.inbox import Inbox
-from service.sessions.library import twins_of
 from service.sessions.pointings import Pointings
 from service.store import frames, models, sessions
-from service.store.base import BackgroundRecord, FrameRecord, ModelRecord, Retention, SessionRecord
+from service.store.base import BackgroundRecord, FrameRecord, Retention, SessionRecord
 from service.store.database import Database
 from service.workers.base import BackgroundJob, FrameJob, PackedFrameReport
 from service.workers.engine import Engine
@@ -62,20 +61,14 @@ class Session:
         self,
         rooms: Rooms,
         record: SessionRecord,
-        model: ModelRecord,
-        articulation: Articulation,
         config: SessionConfig,
-        state: bytes | None,
+        contenders: tuple[Contender, ...],
     ) -> None:
         self.record = record
         self.inbox = Inbox(record.id, rooms.inbox_frames, rooms.metrics.stage_seconds.labels("wait").observe)
         self._rooms = rooms
-        self._model = model
-        self._articulation = articulation
-        self._twins = twins_of(model)
         self._config = config
-        self._names = JointNames.of(articulation, config)
-        self._state = state
+        self._contenders = contenders
         self._pointings = Pointings(config.camera)
 
     def submit(self, frame: FrameIn) -> asyncio.Future[Answer]:
@@ -104,8 +97,8 @@ class Session:
         frame = replace(frame, time=frame.time or facts.time)
         moment = frame_time(record, frame, self._config.motion.frame_interval_s)
         view = await self._view(frame, facts, moment)
-        report = await self._track(frame, record.background_key, moment.seconds)
-        return await self._commit(frame, moment, report, view)
+        contenders, report = await self._track(frame, record.background_key, moment.seconds)
+        return await self._commit(frame, moment, contenders, report, view)
 
     async def _view(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> View | None:
         """The camera at this frame, and how it turned since the frame before."""
@@ -115,25 +108,49 @@ class Session:
             self._pointings.resume(await asyncio.to_thread(orjson.loads, document))
         return await asyncio.to_thread(self._pointings.view, record, frame, facts, moment)
 
-    async def _track(self, frame: FrameIn, background: str, time_s: float) -> PackedFrameReport:
+    async def _track(
+        self, frame: FrameIn, background: str, time_s: float
+    ) -> tuple[tuple[Contender, ...], PackedFrameReport]:
+        """The frame under every model, one job after the other; the report of the most probable."""
+        # One measurement for all: evidence under different maps could not be compared.
+        guide = self._contenders[leader(self._contenders)].state if len(self._contenders) > 1 else None
+        after, reports = [], []
+        for contender in self._contenders:
+            report = await self._track_one(contender, frame, background, time_s, guide)
+            after.append(contender.after(report))
+            reports.append(report)
+        return tuple(after), reports[leader(after)]
+
+    async def _track_one(
+        self, contender: Contender, frame: FrameIn, background: str, time_s: float, guide: bytes | None
+    ) -> PackedFrameReport:
         job = FrameJob(
             config=self._config,
-            model=self._model.blob_key,
-            file_type=self._model.file_type,
-            articulation=self._articulation,
+            model=contender.model.blob_key,
+            file_type=contender.model.file_type,
+            articulation=contender.articulation,
             background=background,
             state=None,
             frame_index=self.record.next_index,
             time_s=time_s,
             body=frame.body,
             media_type=frame.media_type,
-            twins=self._twins,
+            twins=contender.twins,
         )
-        return await self._rooms.engine.track(self.record.id, job, self._state, self._blob)
+        return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob, guide)
 
-    async def _commit(self, frame: FrameIn, moment: FrameTime, report: PackedFrameReport, view: View | None) -> Answer:
+    async def _commit(
+        self,
+        frame: FrameIn,
+        moment: FrameTime,
+        contenders: tuple[Contender, ...],
+        report: PackedFrameReport,
+        view: View | None,
+    ) -> Answer:
         index, text = self.record.next_index, format_time(moment.utc)
-        document = await asyncio.to_thread(estimate_document, self.record.id, index, text, self._names, report, view)
+        names = contenders[leader(contenders)].names
+        models = ranking(contenders) if len(contenders) > 1 else None
+        document = await asyncio.to_thread(estimate_document, self.record.id, index, text, names, report, view, models)
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(
             session_id=self.record.id,
@@ -152,11 +169,12 @@ class Session:
             state=report.state,
             created_at=format_time(frame.received),
             belief=report.belief,
+            contenders=stored(contenders),
         )
         started = time.monotonic()
         seq = await self._rooms.database.write(frames.append, record, self._rooms.retention)
         self._observe(report, time.monotonic() - started)
-        self._state = report.state
+        self._contenders = contenders
         self._pointings.passed(view)
         self.record = replace(
             self.record,

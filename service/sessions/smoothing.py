@@ -16,6 +16,7 @@ from service.inference.smoothed import SmoothedEstimate
 from service.inference.state import Array
 from service.sessions import config as session_config
 from service.sessions.absolute import View, camera_quaternion, rate_since
+from service.sessions.contenders import require_one_model
 from service.sessions.document import JointNames, smoothed_document
 from service.sessions.library import articulation_of, twins_of
 from service.store import frames, models, sessions
@@ -28,16 +29,18 @@ from service.workers.engine import Engine
 async def smoothed_page(
     database: Database, engine: Engine, session_id: str, after: int, limit: int
 ) -> tuple[list[bytes], int | None]:
-    """Smoothed estimates after an index, and the index to go on from or None. Raises ``NotFoundError``.
+    """Smoothed estimates after an index, and the index to go on from or None. Raises ``NotFoundError``, or
+    ``ConflictError`` for a session that compares models.
 
     Every page goes back over the whole rest of the pass, so that pages of one stand of the session fit together.
     """
+    record = await database.read(sessions.get, session_id)
+    require_one_model(record, "smoothed estimates")
     found = await database.read(frames.estimate_page, session_id, after, limit + 1)
     following = found[limit - 1][0] if len(found) > limit else None
     documents = [document for _, document in found[:limit]]
     if not documents:
         return [], None
-    record = await database.read(sessions.get, session_id)
     model = await database.read(models.get, record.model_id)
     stored = await database.read(frames.belief_page, session_id, after)
     config = session_config.parse(orjson.dumps(record.config))

@@ -42,6 +42,16 @@ class SessionRecord:
     background_frames: int = 0
     background_info: Mapping[str, Any] | None = None
     number: int = 0
+    model_ids: tuple[str, ...] = ()  # of a session that compares models, ``model_id`` the first; else none
+
+
+@dataclass(frozen=True)
+class StoredContender:
+    """A model that a session compares, after the newest frame."""
+
+    model_id: str
+    state: bytes | None
+    log_evidence: float
 
 
 @dataclass(frozen=True)
@@ -64,6 +74,7 @@ class FrameRecord:
     state: bytes  # the weighted particles, packed
     created_at: str
     belief: bytes | None = None  # their modes, packed, kept for good; None: nothing is known
+    contenders: tuple[StoredContender, ...] = ()  # of a session that compares models, in its order
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
     connection.execute(insert(particles).values(**at, state=record.state))
     if record.belief is not None:
         connection.execute(insert(beliefs).values(**at, belief=record.belief))
+    session_queries.put_contenders(connection, record.session_id, record.contenders)
     connection.execute(insert(events).values(**at, seq=row.next_seq, kind="estimate"))
     _forget(connection, record.session_id, record.index, retention)
     return row.next_seq

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Row, delete, insert, or_, select
 
 from service.errors import ModelInUseError, NotFoundError
 from service.store.base import ModelRecord
-from service.store.tables import blobs, models, sessions
+from service.store.tables import blobs, contenders, models, sessions
 
 
 def add(connection: Connection, record: ModelRecord, data: bytes) -> None:
@@ -43,7 +43,9 @@ def page(connection: Connection, after: int, limit: int) -> list[ModelRecord]:
 def remove(connection: Connection, model_id: str) -> None:
     """Delete a model and its file. Raises ``ModelInUseError`` while a session needs it."""
     record = get(connection, model_id)
-    users = connection.execute(select(sessions.c.id).where(sessions.c.model_id == model_id).limit(5)).all()
+    named = select(sessions.c.id).where(sessions.c.model_id == model_id)
+    compared = select(contenders.c.session_id.label("id")).where(contenders.c.model_id == model_id)
+    users = connection.execute(named.union(compared).limit(5)).all()
     if users:
         raise ModelInUseError(f"sessions need model {model_id}", sessions=[row.id for row in users])
     connection.execute(delete(models).where(models.c.id == model_id))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, insert, select, update
 
 from service.errors import NotFoundError, StaleOwnerError
 from service.store import models
-from service.store.base import BackgroundRecord, SessionRecord
-from service.store.tables import backgrounds, particles, sessions
+from service.store.base import BackgroundRecord, SessionRecord, StoredContender
+from service.store.tables import backgrounds, contenders, particles, sessions
 
 
 def add(connection: Connection, record: SessionRecord) -> None:
@@ -17,6 +19,9 @@ def add(connection: Connection, record: SessionRecord) -> None:
     models.get(connection, record.model_id)
     values = {name: getattr(record, name) for name in sessions.columns.keys() if name != "number"}  # noqa: SIM118
     connection.execute(insert(sessions).values({**values, "warnings": list(record.warnings)}))
+    for model_id in record.model_ids:
+        models.get(connection, model_id)
+    put_contenders(connection, record.id, [StoredContender(model_id, None, 0.0) for model_id in record.model_ids])
 
 
 def get(connection: Connection, session_id: str) -> SessionRecord:
@@ -24,13 +29,13 @@ def get(connection: Connection, session_id: str) -> SessionRecord:
     row = connection.execute(select(sessions).where(sessions.c.id == session_id)).first()
     if row is None:
         raise NotFoundError(f"no session {session_id}", field="session_id")
-    return _record(row)
+    return _with_models(connection, _record(row))
 
 
 def page(connection: Connection, after: int, limit: int) -> list[SessionRecord]:
     """Sessions in order of creation, from number ``after`` on."""
     query = select(sessions).where(sessions.c.number > after).order_by(sessions.c.number).limit(limit)
-    return [_record(row) for row in connection.execute(query)]
+    return [_with_models(connection, _record(row)) for row in connection.execute(query).all()]
 
 
 def claim(connection: Connection, session_id: str) -> tuple[SessionRecord, bytes | None]:
@@ -45,6 +50,21 @@ def state(connection: Connection, session_id: str, index: int) -> bytes | None:
     query = select(particles.c.state).where(particles.c.session_id == session_id, particles.c.idx == index)
     data: bytes | None = connection.execute(query).scalar()
     return data
+
+
+def compared(connection: Connection, session_id: str) -> list[StoredContender]:
+    """The models that a session compares, in its order; none for a plain session."""
+    query = select(contenders).where(contenders.c.session_id == session_id).order_by(contenders.c.ordinal)
+    return [StoredContender(row.model_id, row.state, row.log_evidence) for row in connection.execute(query)]
+
+
+def put_contenders(connection: Connection, session_id: str, given: Sequence[StoredContender]) -> None:
+    """Store the compared models in place of their earlier stand; nothing to do where there are none."""
+    if given:
+        connection.execute(delete(contenders).where(contenders.c.session_id == session_id))
+    for ordinal, one in enumerate(given):
+        values = {"model_id": one.model_id, "state": one.state, "log_evidence": one.log_evidence}
+        connection.execute(insert(contenders).values(session_id=session_id, ordinal=ordinal, **values))
 
 
 def remove(connection: Connection, session_id: str) -> None:
@@ -101,3 +121,8 @@ def set_background(connection: Connection, record: BackgroundRecord) -> None:
 def _record(row: Row[Any]) -> SessionRecord:
     values = dict(row._mapping)
     return SessionRecord(**{**values, "warnings": tuple(values["warnings"])})
+
+
+def _with_models(connection: Connection, record: SessionRecord) -> SessionRecord:
+    query = select(contenders.c.model_id).where(contenders.c.session_id == record.id).order_by(contenders.c.ordinal)
+    return replace(record, model_ids=tuple(connection.execute(query).scalars()))

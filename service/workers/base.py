@@ -86,6 +86,7 @@ class FrameJob:
     media_type: str
     blobs: Mapping[str, bytes] = field(default_factory=dict)
     twins: tuple[Symmetry, ...] = ()  # symmetries of the model, joints by position in ``articulation``
+    guide: Mapping[str, NDArray[np.generic]] | None = None  # memory to measure the frame with; None: the state's own
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ class PackedFrameJob:
 
     job: FrameJob
     state: bytes | None
+    guide: bytes | None = None  # the state whose memory is ``job.guide``
 
 
 @dataclass(frozen=True)

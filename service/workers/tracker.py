@@ -149,7 +149,7 @@ class Tracker:
         sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
         _require_same(image, sky.mean.shape, sky.spec.bits)
         decoded = time.perf_counter()
-        memory = {} if job.state is None else job.state.memory
+        memory = job.guide if job.guide is not None else {} if job.state is None else job.state.memory
         observation = observe(image, sky, job.config, memory)
         maps = observation.maps
         maps.log_ratio.flags.writeable = False
