@@ -18,17 +18,16 @@ from scipy.spatial.transform import Rotation
 from gpu.program import KernelArgument, build, constant, device_errors
 from gpu.step_arrays import Body, Bounds, DeviceParticles, Floats, Particles, Summary, device_layout
 from gpu.step_moments import Mean, Spread, mean_of, spread_of
-from gpu.step_scores import BufferScorer
+from gpu.step_scores import TRANSFORM_BYTES, BufferScorer
 
 FILES = ("step_random.cl", "step_rotation.cl", "step_motion.cl", "step_resample.cl", "step_weights.cl")
 GROUP = 128  # work-items per group; a power of two
-MOST_GROUPS = 256  # that add up a sum
+GROUPS_PER_UNIT = 8  # of the device, that share out a sum
 TRANSFORMS_BYTES = 64 << 20  # of the transforms that exist at one time
-TRANSFORM_BYTES = 48
 WEIGHT_BITS = 62  # of the sum of all weights
 LARGEST_COUNT = 10_000_000
 MEAN_STEPS = 10
-CLOSE_RAD = 1e-6  # a mean rotation that moves less has arrived: float32 cannot tell
+CLOSE_RAD = 1e-5  # a mean rotation that moves less has arrived: float32 sums tell little more
 
 Resampler = Literal["multinomial", "systematic"]
 Arguments = tuple[KernelArgument, ...]
@@ -136,8 +135,7 @@ class DeviceStep:
             nats = np.float32(unit * exponent)
             self._launch_each("weigh", n, scores, np.int32(n), np.int64(best_score), nats, log_weights)
             weighed = replace(particles, log_weights=log_weights)
-            mean = mean_of(self._sums("sums_for_mean", weighed, 15 + 3 * self._body.n_joints), self._period)
-            mean, spread = self._refine(weighed, mean)
+            mean, spread = self._moments(weighed)
         summary = Summary(
             quaternion=mean.rotation.as_quat(canonical=True, scalar_first=True),
             position=mean.position,
@@ -172,14 +170,14 @@ class DeviceStep:
         for first in range(0, n, size):
             count = min(size, n - first)
             transforms = self.part_transforms(particles, first, count)
-            scores, unit = self._scorer.score_buffer(transforms, count, self._body.n_parts, log_ratio)
+            scores, unit = self._scorer.score_buffer(transforms, count, log_ratio)
             cl.enqueue_copy(self._queue, all_scores, scores, byte_count=8 * count, dst_offset=8 * first)
             self._queue.finish()  # frees this batch's buffers before the next one's are made
         return all_scores, unit
 
     def _best(self, scores: cl.Buffer, n: int) -> tuple[int, int]:
         """The highest score in units, and the first particle that has it."""
-        groups = _groups(n)
+        groups = self._groups(n)
         best_scores, best = self._room(8 * groups), self._room(4 * groups)
         self._launch("find_best", groups, scores, np.int32(n), best_scores, best)
         values = self._fetch(best_scores, np.empty(groups, np.int64))
@@ -187,26 +185,40 @@ class DeviceStep:
         top = int(values.max())
         return top, int(which[values == top].min())
 
-    def _refine(self, particles: DeviceParticles, mean: Mean) -> tuple[Mean, Spread]:
-        """Move the mean rotation to where the weighted rotation vectors about it cancel (Karcher), with the spread."""
-        dimension = 6 + self._body.n_joints
-        n_sums = dimension + dimension * (dimension + 1) // 2 + 1
-        for _ in range(MEAN_STEPS):
-            sums = self._sums("sums_for_spread", particles, n_sums, self._upload(mean.numbers()), self._bounds[2])
-            spread = spread_of(sums, mean.total, dimension)
-            if float(np.linalg.norm(spread.rotation_step)) < CLOSE_RAD:
-                break
-            mean = replace(mean, rotation=mean.rotation * Rotation.from_rotvec(spread.rotation_step))
-        return mean, spread
+    def _moments(self, particles: DeviceParticles) -> tuple[Mean, Spread]:
+        """The expected pose and the spread about it (Eq. 5)."""
+        n, n_joints = particles.n, self._body.n_joints
+        weighted = particles.rotations, particles.values, particles.log_weights, np.int32(n)
+        sums = self._sums("sums_for_mean", 15 + 3 * n_joints, n, *weighted)
+        mean = self._refine(particles, mean_of(sums, self._period))
+        dimension = 6 + n_joints
+        n_sums = dimension * (dimension + 1) // 2 + 1
+        about = self._upload(mean.numbers()), self._bounds[2]
+        return mean, spread_of(self._sums("sums_for_spread", n_sums, n, *weighted, *about), mean.total, dimension)
 
-    def _sums(self, kernel: str, particles: DeviceParticles, n_sums: int, *arguments: KernelArgument) -> Floats:
-        """(n_sums,) sums over the particles."""
-        groups = _groups(particles.n)
-        out = self._room(4 * n_sums * groups)
-        poses = particles.rotations, particles.values, particles.log_weights, np.int32(particles.n)
-        self._launch(kernel, groups, *poses, *arguments, out)
-        of_groups = self._fetch(out, np.empty((groups, n_sums), np.float32))
-        return np.asarray(of_groups.sum(axis=0, dtype=np.float64))
+    def _refine(self, particles: DeviceParticles, mean: Mean) -> Mean:
+        """Move the mean rotation to where the weighted rotation vectors about it cancel (Karcher)."""
+        weighted = particles.rotations, particles.log_weights, np.int32(particles.n)
+        for _ in range(MEAN_STEPS):
+            sums = self._sums("sums_for_rotation", 3, particles.n, *weighted, self._upload(mean.numbers()))
+            step = sums / mean.total
+            mean = replace(mean, rotation=mean.rotation * Rotation.from_rotvec(step))
+            if float(np.linalg.norm(step)) < CLOSE_RAD:
+                break
+        return mean
+
+    def _sums(self, kernel: str, n_sums: int, n: int, *arguments: KernelArgument) -> Floats:
+        """(n_sums,) sums over n particles."""
+        groups = self._groups(n)
+        items = groups * GROUP
+        parts, sums = self._room(4 * n_sums * items), self._room(4 * n_sums)
+        self._launch(kernel, groups, *arguments, parts)
+        self._launch("add_parts", n_sums, parts, np.int32(items), sums)
+        return self._fetch(sums, np.empty(n_sums, np.float32)).astype(np.float64)
+
+    def _groups(self, n: int) -> int:
+        """Work-groups among which n particles are shared out where each gives one result."""
+        return min(GROUPS_PER_UNIT * self._queue.device.max_compute_units, -(-n // GROUP))
 
     def _launch(self, kernel: str, groups: int, *arguments: KernelArgument) -> None:
         self._kernels[kernel](self._queue, (groups * GROUP,), (GROUP,), *arguments)
@@ -223,10 +235,6 @@ class DeviceStep:
     def _fetch(self, buffer: cl.Buffer, out: NDArray[Number]) -> NDArray[Number]:
         cl.enqueue_copy(self._queue, out, buffer)
         return out
-
-
-def _groups(n: int) -> int:
-    return min(MOST_GROUPS, -(-n // GROUP))
 
 
 def _key(seed: int, frame: int) -> tuple[np.uint64, np.uint32]:

@@ -28,9 +28,8 @@ class Mean:
 
 @dataclass(frozen=True)
 class Spread:
-    """Second moments about a mean, and how far a better mean of the rotation lies from it."""
+    """Second moments about a mean."""
 
-    rotation_step: Floats  # (3,) rad, body side
     covariance: Floats  # (6 + J, 6 + J)
     scale_deviation: float
 
@@ -59,8 +58,7 @@ def mean_of(sums: Floats, period: Floats) -> Mean:
 def spread_of(sums: Floats, total: float, dimension: int) -> Spread:
     """The spread of the sums in ``sums_for_spread``; ``dimension`` is 6 + J."""
     return Spread(
-        rotation_step=sums[:3] / total,
-        covariance=_symmetric(sums[dimension:-1], dimension) / total,
+        covariance=_symmetric(sums[:-1], dimension) / total,
         scale_deviation=float(np.sqrt(sums[-1] / total)),
     )
 

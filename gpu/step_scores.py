@@ -12,6 +12,7 @@ from gpu.device import DeviceReport, open_device
 from gpu.program import constant
 from gpu.scorer import Scorer
 
+TRANSFORM_BYTES = 48
 TOTAL_BITS = 52  # of the largest possible score: whole numbers that float64 holds exactly
 
 
@@ -21,9 +22,7 @@ class BufferScorer(Protocol):
     name: str
     queue: cl.CommandQueue
 
-    def score_buffer(
-        self, transforms: cl.Buffer, n: int, n_parts: int, log_ratio: NDArray[np.float32]
-    ) -> tuple[cl.Buffer, float]:
+    def score_buffer(self, transforms: cl.Buffer, n: int, log_ratio: NDArray[np.float32]) -> tuple[cl.Buffer, float]:
         """(n, P, 3, 4) float32 transforms, (H, W) map -> (n,) int64 scores in units, and the value of one unit.
 
         The unit depends on the map alone. Every score is finite and resolved.
@@ -41,11 +40,9 @@ class HostCopies:
         self.queue = cl.CommandQueue(cl.Context([open_device(report)]))
         self._scorer = scorer
 
-    def score_buffer(
-        self, transforms: cl.Buffer, n: int, n_parts: int, log_ratio: NDArray[np.float32]
-    ) -> tuple[cl.Buffer, float]:
+    def score_buffer(self, transforms: cl.Buffer, n: int, log_ratio: NDArray[np.float32]) -> tuple[cl.Buffer, float]:
         """See ``BufferScorer.score_buffer``."""
-        on_host = np.empty((n, n_parts, 3, 4), np.float32)
+        on_host = np.empty((n, transforms.size // (TRANSFORM_BYTES * n), 3, 4), np.float32)
         cl.enqueue_copy(self.queue, on_host, transforms)
         scores = self._scorer.score(on_host, log_ratio)
         unit = smallest_unit(log_ratio)

@@ -1,7 +1,7 @@
 // From scores to weights, and the sums that the estimate (Eq. 5) is made of.
 //
-// Every work-group adds up its share of the particles, work-item by work-item and then as a tree; the host adds the
-// groups' sums in double precision. The order is fixed, so the same device gives the same bits.
+// Every work-item adds up its share of the particles; then the work-items' parts are added up. The order is fixed, so
+// the same device gives the same bits.
 //
 // Built with (gpu/step.py): GROUP, JOINTS; needs step_rotation.cl and step_motion.cl before it.
 
@@ -45,17 +45,24 @@ __kernel void weigh(
     if (i < n) log_weights[i] = nats * (float)(scores[i] - best_score);
 }
 
-// Add up one number per work-item; the result is for work-item 0.
-static float sum_over_group(__local float *terms, const float mine)
+// Row k of `parts` holds a part of sum k from each work-item of another kernel; one work-group per row adds it up.
+__kernel void add_parts(__global const float *parts, const int items, __global float *sums)
 {
-    const int me = get_local_id(0);
-    barrier(CLK_LOCAL_MEM_FENCE);
-    terms[me] = mine;
+    __local float terms[GROUP];
+    const int me = get_local_id(0), row = get_group_id(0);
+    float term = 0.0f;
+    for (int item = me; item < items; item += GROUP) term += parts[row * items + item];
+    terms[me] = term;
     for (int half_group = GROUP / 2; half_group > 0; half_group /= 2) {
         barrier(CLK_LOCAL_MEM_FENCE);
         if (me < half_group) terms[me] += terms[me + half_group];
     }
-    return terms[0];
+    if (me == 0) sums[row] = terms[0];
+}
+
+static void write_column(__global float *parts, const float *sum, const int rows)
+{
+    for (int k = 0; k < rows; ++k) parts[k * get_global_size(0) + get_global_id(0)] = sum[k];
 }
 
 // w, w^2, then w times: x, y, scale; each joint's value, cosine and sine; the ten products of the quaternion with
@@ -64,9 +71,8 @@ static float sum_over_group(__local float *terms, const float mine)
 
 __kernel void sums_for_mean(
     __global const float4 *rotations, __global const float *values, __global const float *log_weights, const int n,
-    __global float *sums)
+    __global float *parts)
 {
-    __local float terms[GROUP];
     float sum[MEAN_SUMS];
     for (int k = 0; k < MEAN_SUMS; ++k) sum[k] = 0.0f;
     for (int i = get_global_id(0); i < n; i += get_global_size(0)) {
@@ -88,23 +94,34 @@ __kernel void sums_for_mean(
         for (int a = 0; a < 4; ++a)
             for (int b = a; b < 4; ++b) sum[k++] += w * q[a] * q[b];
     }
-    for (int k = 0; k < MEAN_SUMS; ++k) {
-        const float total = sum_over_group(terms, sum[k]);
-        if (get_local_id(0) == 0) sums[get_group_id(0) * MEAN_SUMS + k] = total;
-    }
+    write_column(parts, sum, MEAN_SUMS);
 }
 
-// w times: the tangent coordinates about `mean` (its quaternion, then its values); their products (0 0, 0 1, ..., 1 1,
-// ...); the squared difference of the scales.
-#define SPREAD_SUMS (TANGENT + TANGENT * (TANGENT + 1) / 2 + 1)
+// w times the rotation vector from the mean rotation: zero where the mean is Karcher's.
+__kernel void sums_for_rotation(
+    __global const float4 *rotations, __global const float *log_weights, const int n, __global const float *mean,
+    __global float *parts)
+{
+    const float4 back = inverse(vload4(0, mean));
+    float3 sum = (float3)(0.0f);
+    for (int i = get_global_id(0); i < n; i += get_global_size(0))
+        sum += exp(log_weights[i]) * rotation_vector(multiply(back, rotations[i]));
+    float separate[3];
+    vstore3(sum, 0, separate);
+    write_column(parts, separate, 3);
+}
+
+// w times: the products of the tangent coordinates about `mean` (its quaternion, then its values) with each other (0 0, 0 1,
+// ..., 1 1, ...); the squared difference of the scales.
+#define SPREAD_SUMS (TANGENT * (TANGENT + 1) / 2 + 1)
 
 __kernel void sums_for_spread(
     __global const float4 *rotations, __global const float *values, __global const float *log_weights, const int n,
-    __global const float *mean, __global const float *period, __global float *sums)
+    __global const float *mean, __global const float *period, __global float *parts)
 {
     const float4 back = inverse(vload4(0, mean));
     __global const float *mean_values = mean + 4;
-    __local float terms[GROUP];
+    const float mean_scale = exp(mean_values[2]);
     float sum[SPREAD_SUMS];
     for (int k = 0; k < SPREAD_SUMS; ++k) sum[k] = 0.0f;
     for (int i = get_global_id(0); i < n; i += get_global_size(0)) {
@@ -116,14 +133,10 @@ __kernel void sums_for_spread(
             t[3 + k] = period[k] > 0.0f ? apart - period[k] * rint(apart / period[k]) : apart;    // the short way round
         }
         int k = 0;
-        for (int a = 0; a < TANGENT; ++a) sum[k++] += w * t[a];
         for (int a = 0; a < TANGENT; ++a)
             for (int b = a; b < TANGENT; ++b) sum[k++] += w * t[a] * t[b];
-        const float scale_apart = exp(values[2 * n + i]) - exp(mean_values[2]);
+        const float scale_apart = exp(values[2 * n + i]) - mean_scale;
         sum[k] += w * scale_apart * scale_apart;
     }
-    for (int k = 0; k < SPREAD_SUMS; ++k) {
-        const float total = sum_over_group(terms, sum[k]);
-        if (get_local_id(0) == 0) sums[get_group_id(0) * SPREAD_SUMS + k] = total;
-    }
+    write_column(parts, sum, SPREAD_SUMS);
 }
