@@ -67,17 +67,31 @@ def join(a: Draws, b: Draws) -> Draws:
 
 
 def component(
-    poses: Poses, rates: Array, weights: Array, origin: Poses, metric: Metric, log_weight: float, least: Array
+    poses: Poses,
+    rates: Array,
+    weights: Array,
+    origin: Poses,
+    metric: Metric,
+    log_weight: float,
+    least: Array,
+    carried: Array | float = 0.0,
+    stepped: Array | float = 0.0,
 ) -> Component:
-    """The Gaussian of predicted (poses, rates), weights summing to 1; ``least`` (d,) deviations are added to it."""
+    """The Gaussian of predicted (poses, rates), weights summing to 1.
+
+    To their covariance is added: ``least`` (d,), squared, of the pose; ``stepped`` (d,) of the rate; ``carried`` (d,)
+    between both, since a rate's own random steps move the pose along.
+    """
     x = short_way(local(origin, poses), metric)
     centre = weights @ x
     mean = retract(origin, centre[None])
     x = x - centre
     v = rates - weights @ rates
     covariance = np.einsum("n,ni,nj->ij", weights, x, x) + np.diag(least**2)
-    slope = np.linalg.solve(covariance, np.einsum("n,ni,nj->ij", weights, x, v)).T
-    rest = np.einsum("n,ni,nj->ij", weights, v, v) - slope @ covariance @ slope.T
+    both = np.einsum("n,ni,nj->ij", weights, x, v) + carried * np.eye(len(centre))
+    slope = np.linalg.solve(covariance, both).T
+    spread = np.einsum("n,ni,nj->ij", weights, v, v) + stepped * np.eye(len(centre))
+    rest = spread - slope @ covariance @ slope.T
     return Component(log_weight, mean, covariance, weights @ rates, slope, _factor(rest))
 
 

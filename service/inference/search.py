@@ -8,7 +8,7 @@ from service.inference.acquisition import Evidence, place
 from service.inference.domain import Domain
 from service.inference.islands import Islands, refine, scatter, strongest
 from service.inference.mixture import Component
-from service.inference.state import Array
+from service.inference.state import Array, Poses
 from service.inference.symmetry import fold
 from service.inference.update import Update
 
@@ -16,8 +16,11 @@ STAGES = ((64, 4, 24), (16, 5, 40), (6, 6, 60))  # islands, rounds, draws per ro
 IN_PLAY_NATS = 12.0  # a basin whose peak lies further below the best, after the exponent, gets no particles
 
 
-def search_islands(update: Update, evidence: Evidence) -> Islands:
-    """The basins whose peaks the frame's likelihood leaves in play, one of each set of twins, best first."""
+def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = None) -> Islands:
+    """The basins whose peaks the frame's likelihood leaves in play, best first.
+
+    Of each set of twins the one nearest to ``anchor`` (one pose), or to the best island.
+    """
     domain, metric = update.domain, update.metric
     poses = place(update.rng, domain, evidence, update.score_maps, update.config.filter.acquisition_particles)
     islands = scatter(poses, update.score(poses), metric, STAGES[0][0], search_reach(domain))
@@ -25,9 +28,8 @@ def search_islands(update: Update, evidence: Evidence) -> Islands:
         islands = strongest(islands, metric, count)
         islands = refine(update.rng, islands, update.score, domain.contains, rounds, draws)
     top = int(np.argmax(islands.log_likelihood))
-    folded, _ = fold(
-        islands.best, np.zeros((len(islands), domain.n_tangent)), update.twins, domain, islands.best[top : top + 1]
-    )
+    near = islands.best[top : top + 1] if anchor is None else anchor
+    folded, _ = fold(islands.best, np.zeros((len(islands), domain.n_tangent)), update.twins, domain, near)
     islands = strongest(Islands(folded, islands.log_likelihood, islands.mean, islands.covariance), metric, len(islands))
     exponent = update.config.likelihood.exponent
     in_play = exponent * (islands.log_likelihood - islands.log_likelihood.max()) > -IN_PLAY_NATS

@@ -116,8 +116,10 @@ def predict(mode: Gaussian, dt_s: float, widening: float, motion: RateFilter) ->
     transition[:d, d:] = dt_s * np.eye(d)
     transition[:3, :3] = rotation_matrices(exp_so3(turn)).T
     transition[:3, d : d + 3] = dt_s * right_jacobian(turn)
-    noise = np.concatenate([(motion.jitter * dt_s + motion.change * dt_s**3 / 3) * widening**2, motion.change * dt_s])
-    covariance = transition @ mode.covariance @ transition.T + np.diag(noise + _FLOOR)
+    position = (motion.jitter * dt_s + motion.change * dt_s**3 / 3) * widening**2
+    together = np.diag(motion.change * dt_s**2 / 2)  # a rate that has changed has also moved the pose
+    noise = np.block([[np.diag(position), together], [together, np.diag(motion.change * dt_s)]])
+    covariance = transition @ mode.covariance @ transition.T + noise + _FLOOR * np.eye(2 * d)
     return Forecast(mode, Gaussian(carry_on(mode.pose, mode.rate[None], dt_s), mode.rate, covariance), transition)
 
 

@@ -16,7 +16,7 @@ from service.inference.mixture import Component, Draws, component, join, posteri
 from service.inference.modes import cluster, distance, short_way
 from service.inference.motion import carry_on
 from service.inference.params import SessionConfig
-from service.inference.pose import local
+from service.inference.pose import local, retract
 from service.inference.resample import RESAMPLERS
 from service.inference.search import island_components, log_occam, search_islands
 from service.inference.state import FilterState, Frame, Outcome, Poses
@@ -90,6 +90,7 @@ def predicted_components(update: Update) -> list[Component]:
     weights = np.exp(state.log_weights)
     share = np.bincount(labels, weights=weights)
     jitter = np.sqrt(motion.jitter * dt_s + motion.change * dt_s**3 / 3) * update.surprise
+    carried = motion.change * dt_s**2 / 2
     parts = []
     for k in np.argsort(-share)[:MOST_MODES]:
         members = np.flatnonzero(labels == k)
@@ -100,22 +101,21 @@ def predicted_components(update: Update) -> list[Component]:
         origin = carry_on(poses[:1], rates[:1], dt_s)
         log_weight = float(np.log(share[k]))
         moved = carry_on(poses, rates, dt_s)
-        part = component(moved, rates, inner, origin, update.metric, log_weight, jitter)
-        widened = part.rate_factor @ part.rate_factor.T + np.diag(motion.change * dt_s)
-        factor = np.asarray(np.linalg.cholesky(widened + 1e-12 * np.eye(len(jitter))), dtype=np.float64)
-        parts.append(replace(part, rate_factor=factor))
+        stepped = motion.change * dt_s
+        parts.append(component(moved, rates, inner, origin, update.metric, log_weight, jitter, carried, stepped))
     return parts
 
 
 def search(update: Update, evidence: Evidence, tracked: Draws | None) -> Draws:
     """The whole space; beside ``tracked``, only what lies elsewhere."""
-    islands = search_islands(update, evidence)
+    top = 0 if tracked is None else int(np.argmax(tracked.log_likelihood))
+    anchor = None if tracked is None else tracked.poses[top : top + 1]
+    islands = search_islands(update, evidence, anchor)
     if tracked is None:
         if update.config.filter.method == "tempered":
             return strew(update, islands)
         parts = island_components(update, islands, log_occam(update, len(islands)))
         return replace(mixture_posterior(update, parts), memory={})
-    top = int(np.argmax(tracked.log_likelihood))
     away = distance(islands.best, tracked.poses[top : top + 1], update.metric) > 1.0
     if not np.any(away):
         return tracked
@@ -162,13 +162,15 @@ def unseen(update: Update) -> Outcome:
     memory: dict[str, NDArray[np.generic]] = {} if state is None else dict(state.memory)
     if state is not None and float(update.recall("age", 0.0)) > 0:
         motion = update.rates
-        jitter = np.sqrt(motion.jitter * update.dt_s)
-        moved = carry_on(state.poses, state.rates, update.dt_s)
-        step = update.rng.standard_normal((len(moved), domain.n_tangent)) * jitter
-        moved = carry_on(moved, step, 1.0)
+        shape, dt_s = (len(state.poses), domain.n_tangent), update.dt_s
+        turn = update.rng.standard_normal(shape) * np.sqrt(motion.change * dt_s)
+        rest = np.sqrt(motion.jitter * dt_s + motion.change * dt_s**3 / 12)  # beside what the rate's step has done
+        step = state.rates * dt_s + turn * dt_s / 2 + update.rng.standard_normal(shape) * rest
+        moved = retract(state.poses, step)
+        low, high = domain.log_scale_bounds
         inside = np.clip(moved.position, 0, (domain.width, domain.height))
-        poses = domain.wrap(Poses(moved.quaternion, inside, state.poses.log_scale, moved.joints))
-        rates, log_weights = state.rates, state.log_weights
+        poses = domain.wrap(Poses(moved.quaternion, inside, np.clip(moved.log_scale, low, high), moved.joints))
+        rates, log_weights = state.rates + turn, state.log_weights
     else:
         nowhere = Evidence(0.25 * domain.width * domain.height, 0.5 * np.array([domain.width, domain.height]), 1.0)
         poses = place(update.rng, domain, nowhere, update.score_maps, count)

@@ -115,7 +115,7 @@ def test_the_block_is_followed_before_and_found_within_three_frames_after(outage
     for told in [*outage[1:BEFORE], *outage[BEFORE + BLANK + 2 :]]:
         assert told.estimate.best_log_likelihood > 0.9 * told.perfect
         assert np.linalg.norm(told.estimate.best.position - told.truth.position[0]) < 1.0
-        assert off_deg(told) < 10
+        assert off_deg(told) < 15  # a block of 30 px: its outline says no more
 
 
 def test_the_prediction_keeps_widening_while_nothing_is_seen(outage, domain):

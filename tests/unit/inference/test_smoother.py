@@ -45,7 +45,9 @@ def steps(time_s: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     for dt in np.diff(time_s):
         transition = np.eye(2 * D)
         transition[:D, D:] = dt * np.eye(D)
-        found.append((transition, np.diag([*(JITTER * dt + MOTION.change * dt**3 / 3), *(MOTION.change * dt)])))
+        noise = np.diag([*(JITTER * dt + MOTION.change * dt**3 / 3), *(MOTION.change * dt)])
+        noise[:D, D:] = noise[D:, :D] = np.diag(MOTION.change * dt**2 / 2)
+        found.append((transition, noise))
     return found
 
 

@@ -178,7 +178,6 @@ def test_the_rate_told_at_the_degenerate_pose_is_that_of_one_twin():
     assert np.rad2deg(np.linalg.norm(found)) == pytest.approx(rate, abs=6)
 
 
-@pytest.mark.xfail(strict=True, reason="a search beside a track folds to its own best island, not to the track")
 def test_a_search_beside_a_young_track_does_not_take_its_twin_for_news():
     """Twelve tracks, the frames in which the space is still searched: one side of the twins holds every particle."""
     rotations = np.repeat(exp_so3(np.array([[0.9, -0.6, 0.5]])), 5, axis=0)
