@@ -121,7 +121,7 @@ def bench_scorers(
         with ExitStack() as stack:
             opened: dict[str, scorers.Scorer] = {}
             for entry in entries:
-                with _absences(figures, entry.name):
+                with told_absent(figures.absent, entry.name):
                     opened[entry.name] = entry.open(mesh)
                     stack.callback(opened[entry.name].close)
             for size_px in plan.sizes_px:
@@ -178,17 +178,17 @@ def _measure_scene(
     batch: dict[str, int] = {}
     for name, scorer in opened.items():
         if name not in figures.absent:
-            with _absences(figures, name):
+            with told_absent(figures.absent, name):
                 batch[name] = _batch(scorer, now, plan)
     us: dict[str, list[float]] = {name: [] for name in batch}
     for repeat in range(plan.repeats):
         for name, count in batch.items():
             if name not in figures.absent:
-                with _absences(figures, name):
+                with told_absent(figures.absent, name):
                     us[name].append(1e6 / count * _call_s(opened[name], now, count, repeat))
     for entry in entries:
         if entry.name in batch and entry.name not in figures.absent:
-            with _absences(figures, entry.name):
+            with told_absent(figures.absent, entry.name):
                 figures.rows.append(_row(entry, opened[entry.name], now, us[entry.name], batch[entry.name]))
 
 
@@ -234,9 +234,9 @@ def _row(entry: Contestant, scorer: scorers.Scorer, now: _Scene, us: Sequence[fl
 
 
 @contextmanager
-def _absences(figures: ScorerFigures, name: str) -> Iterator[None]:
-    """A scorer that cannot be opened or used is told of; the others go on."""
+def told_absent(absent: dict[str, str], name: str) -> Iterator[None]:
+    """A contestant that cannot be opened or used is told of in ``absent``; the others go on."""
     try:
         yield
     except ScorerError as error:
-        figures.absent[name] = str(error)
+        absent[name] = str(error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from rich.box import MARKDOWN
@@ -15,6 +16,7 @@ from service.bench.plotting import require_matplotlib
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LINE = 100  # characters of a plot's caption
 PAPER: tuple[
     Mapping[str, Any], ...
 ] = (  # Fig. 2 of arXiv:1906.11182, per particle; machine, mesh and image are those of the paper
@@ -93,5 +95,5 @@ def scorer_plot(rows: Sequence[ScorerRow], caption: str) -> Figure:
         panel.grid(axis="y", linewidth=0.3)
     axes[0][0].set_ylabel("µs per particle")
     axes[0][-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    plot.suptitle(caption, fontsize=8)
+    plot.suptitle(fill(caption, LINE), fontsize=7)
     return plot

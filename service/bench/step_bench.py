@@ -12,11 +12,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gpu.bench import Contestant, contestants
-from gpu.errors import ScorerError
+from gpu.bench import Contestant, contestants, told_absent
 from gpu.mesh import Mesh
 from gpu.scorer import Scorer
 from service.bench.peak_memory import peak_mib
+from service.bench.step_device import ResidentStep
 from service.bench.step_scene import INTERVAL_S, StepScene, step_scene
 from service.inference.articulation import part_transforms
 from service.inference.params import (
@@ -123,16 +123,21 @@ class HostStep:
         return scores
 
 
-PRESETS = {"paper": "paper, on the host", "balanced": "balanced, on the host"}
-
-
 def step_contestants(backends: Sequence[str]) -> list[StepContestant]:
-    """The steps that can be compared with each of these scorers. Raises ``ScorerError`` for an unknown one."""
+    """The steps that can be compared, with each of these scorers. Raises ``ScorerError`` for an unknown one."""
     return [
-        StepContestant(title, scorer, partial(HostStep, preset))
+        StepContestant(name, scorer, make)
         for scorer in contestants(backends)
-        for preset, title in PRESETS.items()
+        for name, make in (
+            ("paper, host", partial(HostStep, "paper")),
+            ("paper, device", _resident),
+            ("balanced, host", partial(HostStep, "balanced")),
+        )
     ]
+
+
+def _resident(scorer: Scorer, scene: StepScene, particles: int, seed: int) -> StepRunner:
+    return ResidentStep(config_of("paper", particles), scorer, scene, particles, seed)
 
 
 def config_of(preset: str, particles: int) -> SessionConfig:
@@ -154,11 +159,9 @@ def bench_step(
     with ExitStack() as stack:
         opened: dict[str, Scorer] = {}
         for scorer in {entry.scorer.name: entry.scorer for entry in entries}.values():
-            try:
+            with told_absent(figures.absent, scorer.name):
                 opened[scorer.name] = scorer.open(mesh)
                 stack.callback(opened[scorer.name].close)
-            except ScorerError as error:
-                figures.absent[scorer.name] = str(error)
         left = [entry for entry in entries if entry.scorer.name in opened]
         for particles in plan.particles:
             tell(f"{particles:,} particles")
@@ -182,6 +185,13 @@ def _affordable(
     return kept
 
 
+def _timed(runner: StepRunner, frame: int) -> tuple[float, float]:
+    """Seconds of a step, and of its scoring."""
+    began = time.perf_counter()
+    scoring_s = runner.run(frame)
+    return time.perf_counter() - began, scoring_s
+
+
 def _measure(
     entries: Sequence[StepContestant],
     opened: dict[str, Scorer],
@@ -190,19 +200,25 @@ def _measure(
     figures: StepFigures,
     plan: StepPlan,
 ) -> None:
-    runners = [entry.make(opened[entry.scorer.name], scene, particles, plan.seed) for entry in entries]
-    for runner in runners:
-        for frame in range(1, 1 + WARM_FRAMES):
-            runner.run(frame)
-    times: list[list[tuple[float, float]]] = [[] for _ in runners]
+    runners: dict[str, StepRunner] = {}
+    for entry in entries:
+        with told_absent(figures.absent, entry.title):
+            runners[entry.title] = entry.make(opened[entry.scorer.name], scene, particles, plan.seed)
+            for frame in range(WARM_FRAMES):
+                runners[entry.title].run(1 + frame)
+    times: dict[str, list[tuple[float, float]]] = {title: [] for title in runners}
     for repeat in range(plan.repeats):
-        for runner, taken in zip(runners, times, strict=True):
-            began = time.perf_counter()
-            scoring_s = runner.run(1 + WARM_FRAMES + repeat)
-            taken.append((time.perf_counter() - began, scoring_s))
-    for entry, runner, taken in zip(entries, runners, times, strict=True):
+        for title, runner in runners.items():
+            if title not in figures.absent:
+                with told_absent(figures.absent, title):
+                    times[title].append(_timed(runner, 1 + WARM_FRAMES + repeat))
+    devices = {title: runner.device for title, runner in runners.items()}
+    runners.clear()  # so that each one's memory is measured by itself
+    for entry in entries:
+        taken = times.get(entry.title, [])
+        if entry.title in figures.absent or not taken:
+            continue
         step_s, score_s = np.median(taken, axis=0)
-        memory = peak_mib(lambda now=runner: now.run(1 + WARM_FRAMES + plan.repeats))  # type: ignore[misc]
         figures.rows.append(
             StepRow(
                 backend=entry.scorer.name,
@@ -213,7 +229,13 @@ def _measure(
                 step_ms=1e3 * float(step_s),
                 score_ms=1e3 * float(score_s),
                 score_share=float(np.median([scored / whole for whole, scored in taken])),
-                peak_mib=memory,
-                device=runner.device,
+                peak_mib=_peak(entry, opened[entry.scorer.name], scene, particles, plan.seed),
+                device=devices[entry.title],
             )
         )
+
+
+def _peak(entry: StepContestant, scorer: Scorer, scene: StepScene, particles: int, seed: int) -> float | None:
+    runner = entry.make(scorer, scene, particles, seed)
+    runner.run(1)
+    return peak_mib(lambda: runner.run(2))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from rich.box import MARKDOWN
 from rich.table import Table
 
 from service.bench.plotting import require_matplotlib
-from service.bench.scorer_report import figure
+from service.bench.scorer_report import LINE, figure
 from service.bench.step_bench import StepFigures, StepRow
 
 if TYPE_CHECKING:
@@ -56,5 +57,5 @@ def step_plot(rows: Sequence[StepRow], caption: str) -> Figure:
     panel.set(xscale="log", yscale="log", xlabel="particles", ylabel="ms per step")
     panel.grid(linewidth=0.3)
     panel.legend(fontsize=8)
-    plot.suptitle(caption, fontsize=8)
+    plot.suptitle(fill(caption, LINE), fontsize=7)
     return plot
