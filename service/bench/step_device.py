@@ -53,13 +53,11 @@ class _TimedBuffers:
         self.name, self.queue, self.seconds = scorer.name, scorer.queue, 0.0
         self._scorer = scorer
 
-    def score_buffer(
-        self, transforms: cl.Buffer, n: int, n_parts: int, log_ratio: NDArray[np.float32]
-    ) -> tuple[cl.Buffer, float]:
+    def score_buffer(self, transforms: cl.Buffer, n: int, log_ratio: NDArray[np.float32]) -> tuple[cl.Buffer, float]:
         """See ``BufferScorer.score_buffer``."""
         self.queue.finish()
         began = time.perf_counter()
-        scores = self._scorer.score_buffer(transforms, n, n_parts, log_ratio)
+        scores = self._scorer.score_buffer(transforms, n, log_ratio)
         self.queue.finish()
         self.seconds += time.perf_counter() - began
         return scores
