@@ -111,8 +111,8 @@ __kernel void sums_for_rotation(
     write_column(parts, separate, 3);
 }
 
-// w times: the products of the tangent coordinates about `mean` (its quaternion, then its values) with each other (0 0, 0 1,
-// ..., 1 1, ...); the squared difference of the scales.
+// w times: the products of the tangent coordinates about `mean` (its quaternion, then its values) with each other
+// (0 0, 0 1, ..., 1 1, ...); the squared difference of the scales.
 #define SPREAD_SUMS (TANGENT * (TANGENT + 1) / 2 + 1)
 
 __kernel void sums_for_spread(

@@ -1,0 +1,40 @@
+"""A million particles in bounded memory, in a process of its own so that its peak is the step's."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from step_cases import Case
+
+HERE = Path(__file__).resolve().parent
+PEAK_BYTES = 1.5e9
+STEP = """
+import resource
+import numpy as np
+from gpu_cases import a_map
+from step_cases import Case, particles_of
+
+case, n = Case(), 1_000_000
+particles = case.step.upload(particles_of(case.prior(n), np.full(n, -np.log(n))))
+values, jitter = a_map(np.random.default_rng(0)), np.array([0.02] * 8)
+for resampler in ("multinomial", "systematic"):
+    particles, summary = case.step.run(1, 0, particles, values, jitter, resampler, 0.001)
+assert 1 < summary.ess < n, summary
+assert abs(np.exp(case.step.download(particles).log_weights).sum() - 1) < 1e-4
+print(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def test_a_million_particles_need_less_than_a_gigabyte_and_a_half():
+    assert Case().step.name  # skips where no device answers
+    paths = os.pathsep.join([str(HERE.parent.parent), str(HERE)])
+    run = subprocess.run(
+        [sys.executable, "-c", STEP],
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+    assert run.returncode == 0, run.stderr
+    assert int(run.stdout) < PEAK_BYTES
