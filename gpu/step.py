@@ -8,13 +8,14 @@ numbers of its own: the same seed, frame and particles give the same bits on one
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gpu.errors import ScorerError
 from gpu.program import KernelArgument, build, constant, device_errors
 from gpu.step_arrays import Body, Bounds, DeviceParticles, Floats, Particles, Summary, device_layout
 from gpu.step_moments import Mean, Spread, mean_of, spread_of
@@ -30,6 +31,7 @@ MEAN_STEPS = 10
 CLOSE_RAD = 1e-5  # a mean rotation that moves less has arrived: float32 sums tell little more
 
 Resampler = Literal["multinomial", "systematic"]
+RESAMPLERS = get_args(Resampler)  # each is a kernel's name
 Arguments = tuple[KernelArgument, ...]
 Number = TypeVar("Number", bound=np.generic)
 
@@ -41,7 +43,7 @@ class DeviceStep:
         self.name = f"step:{scorer.name}"
         self._scorer, self._queue, self._context = scorer, scorer.queue, scorer.queue.context
         self._body = body
-        self._period = np.asarray(bounds.period, dtype=np.float64)
+        self._low, self._period = np.asarray(bounds.low, dtype=np.float64), np.asarray(bounds.period, dtype=np.float64)
         sizes = {"GROUP": GROUP, "JOINTS": body.n_joints, "PARTS": body.n_parts, "STAGES": len(body.stages)}
         with device_errors(self.name):
             program = build(self._context, *FILES, options=[f"-D{name}={value}" for name, value in sizes.items()])
@@ -50,7 +52,9 @@ class DeviceStep:
             self._bounds = tuple(self._upload(a) for a in (bounds.low, bounds.high, bounds.period))
 
     def upload(self, particles: Particles) -> DeviceParticles:
-        """Bring particles to the device. Raises ``ScorerError`` where no weight is positive."""
+        """Bring particles to the device. Raises ``ScorerError`` where no weight is positive or a pose is not finite."""
+        if particles.joints.shape != (len(particles), self._body.n_joints):
+            raise ScorerError(f"joints are {particles.joints.shape}, not (N, {self._body.n_joints})")
         arrays, log_total = device_layout(particles)
         with device_errors(self.name):
             rotations, values, log_weights = (constant(self._context, a) for a in arrays)
@@ -92,8 +96,10 @@ class DeviceStep:
     def resample(self, seed: int, frame: int, particles: DeviceParticles, resampler: Resampler) -> cl.Buffer:
         """(N,) int32 ancestors: particle j is drawn N w_j times on average, and never where w_j is zero."""
         n = particles.n
-        if not 1 <= n <= LARGEST_COUNT:
-            raise ValueError(f"{n} particles; between 1 and {LARGEST_COUNT} fit")
+        if n > LARGEST_COUNT:
+            raise ScorerError(f"{n} particles are more than {LARGEST_COUNT}")
+        if resampler not in RESAMPLERS:
+            raise ScorerError(f"resampler {resampler!r} is not one of {', '.join(RESAMPLERS)}")
         heaviest = np.float32(2.0 ** (WEIGHT_BITS - (n - 1).bit_length()))
         tiles = -(-n // (2 * GROUP))
         with device_errors(self.name):
@@ -110,6 +116,8 @@ class DeviceStep:
     ) -> DeviceParticles:
         """The drawn particles, each moved by a Gaussian step of ``deviation`` (6 + J,); their weights are equal."""
         n = particles.n
+        if np.shape(deviation) != (6 + self._body.n_joints,):
+            raise ScorerError(f"deviations are {np.shape(deviation)}, not ({6 + self._body.n_joints},)")
         with device_errors(self.name):
             moved = replace(
                 particles,
@@ -190,7 +198,7 @@ class DeviceStep:
         n, n_joints = particles.n, self._body.n_joints
         weighted = particles.rotations, particles.values, particles.log_weights, np.int32(n)
         sums = self._sums("sums_for_mean", 15 + 3 * n_joints, n, *weighted)
-        mean = self._refine(particles, mean_of(sums, self._period))
+        mean = self._refine(particles, mean_of(sums, self._low, self._period))
         dimension = 6 + n_joints
         n_sums = dimension * (dimension + 1) // 2 + 1
         about = self._upload(mean.numbers()), self._bounds[2]

@@ -34,10 +34,10 @@ class Spread:
     scale_deviation: float
 
 
-def mean_of(sums: Floats, period: Floats) -> Mean:
+def mean_of(sums: Floats, low: Floats, period: Floats) -> Mean:
     """The mean pose of the sums in ``sums_for_mean``; the rotation is the chordal mean (Markley et al. 2007).
 
-    Joints with a ``period`` (3 + J,) are averaged on their circle.
+    Joints with a ``period`` (3 + J,) are averaged on their circle and told from ``low`` (3 + J,) on.
     """
     total, squares = sums[:2]
     x, y, scale = sums[2:5] / total
@@ -49,7 +49,7 @@ def mean_of(sums: Floats, period: Floats) -> Mean:
         rotation=Rotation.from_quat(np.linalg.eigh(moment)[1][:, -1]),
         position=np.array([x, y]),
         scale=float(scale),
-        joints=np.where(period[3:] > 0, circular, linear / total),
+        joints=np.where(period[3:] > 0, low[3:] + np.mod(circular - low[3:], 360.0), linear / total),
         total=float(total),
         ess=float(total * total / squares),
     )

@@ -278,3 +278,13 @@ def test_a_pose_that_is_not_finite_is_refused(case):
 def test_a_seed_that_does_not_fit_is_refused(case, seed, frame):
     with pytest.raises(ValueError, match="does not fit"):
         case.step.resample(seed, frame, uploaded(case, case.prior(2)), "systematic")
+
+
+def test_what_the_step_cannot_take_is_refused(case):
+    particles = uploaded(case, case.prior(2))
+    with pytest.raises(ScorerError, match="residual"):
+        case.step.resample(0, 0, particles, "residual")
+    with pytest.raises(ScorerError, match=r"not \(8,\)"):
+        case.step.move(0, 0, particles, case.step.resample(0, 0, particles, "systematic"), JITTER[:7])
+    with pytest.raises(ScorerError, match=r"not \(N, 2\)"):
+        uploaded(case, dataclasses.replace(case.prior(2), joints=np.zeros((2, 1))))
