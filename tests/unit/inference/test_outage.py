@@ -142,7 +142,7 @@ def test_a_gap_without_frames_is_crossed_too(run):
     told = run("importance", times, range(0))
     assert told[-1].estimate.status in ("acquiring", "tracking")
     assert told[-1].estimate.best_log_likelihood > 0.9 * told[-1].perfect
-    assert off_deg(told[-1]) < 10
+    assert off_deg(told[-1]) < 15
 
 
 def test_a_pass_that_begins_with_empty_frames(run):
