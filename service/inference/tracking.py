@@ -18,7 +18,7 @@ from service.inference.motion import carry_on
 from service.inference.params import SessionConfig
 from service.inference.pose import local, retract
 from service.inference.resample import RESAMPLERS
-from service.inference.search import island_components, log_occam, search_islands
+from service.inference.search import island_components, log_occam, search_islands, search_reach
 from service.inference.state import FilterState, Frame, Outcome, Poses
 from service.inference.symmetry import Symmetry
 from service.inference.update import ScoreMaps, Update
@@ -120,15 +120,32 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None) -> Draws:
     if not np.any(away):
         return tracked
     elsewhere = islands[np.flatnonzero(away)]
-    found = mixture_posterior(update, island_components(update, elsewhere, float(np.log(NEWCOMER))))
+    even = even_start(update)
+    found = mixture_posterior(update, island_components(update, elsewhere, float(np.log(NEWCOMER)) + even))
     both = join(tracked, found)
     pick = RESAMPLERS[update.config.filter.resampler](
         update.rng, normalise(both.log_weights)[0], update.config.filter.particles
     )
     # The newcomers' weight is the filter's choice; as evidence they count for what the whole space gives them.
-    known, new = normalise(tracked.log_weights)[1], normalise(found.log_weights)[1] + log_occam(update, len(elsewhere))
+    known, new = (
+        normalise(tracked.log_weights)[1],
+        normalise(found.log_weights)[1] - even + log_occam(update, len(elsewhere)),
+    )
     total = float(np.logaddexp(known, new)) - float(np.log(len(pick)))
     return Draws(both.poses[pick], both.rates[pick], both.log_likelihood[pick], np.full(len(pick), total))
+
+
+def even_start(update: Update) -> float:
+    """Log of how much narrower the track's prediction is than the reach that a newcomer is searched in.
+
+    The track was as wide when it was found. Without this the frames that have narrowed it since would count for it
+    a second time, and a newcomer with the better silhouette could hardly ever take its place.
+    """
+    if update.config.filter.method == "tempered":
+        return 0.0
+    track = predicted_components(update)[0].covariance
+    reach = search_reach(update.domain)
+    return max(0.0, float(np.sum(np.log(reach)) - 0.5 * np.linalg.slogdet(track)[1]))
 
 
 def supported(update: Update, draws: Draws) -> bool:
