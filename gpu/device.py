@@ -26,6 +26,7 @@ class DeviceReport:
     rejected: str | None  # why it cannot be used; None: it passed the probe
     index: tuple[int, int]  # platform, device
     extensions: tuple[str, ...] = ()
+    driver: str = ""  # its version
 
 
 @functools.cache
@@ -86,6 +87,7 @@ def _inspect(platform: cl.Platform, device: cl.Device, index: tuple[int, int]) -
         rejected=_probe(device),
         index=index,
         extensions=tuple(device.extensions.split()),
+        driver=device.driver_version.strip(),
     )
 
 

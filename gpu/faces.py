@@ -34,7 +34,7 @@ class FaceTable:
 
 def face_table(mesh: Mesh) -> FaceTable:
     """All parts of a mesh."""
-    faces = [_marked_faces(part) for part in mesh.parts]
+    faces = [marked_faces(part) for part in mesh.parts]
     return FaceTable(
         np.concatenate([part.vertices for part in mesh.parts]).astype(np.float32),
         np.cumsum([0] + [len(part.vertices) for part in mesh.parts]).astype(np.int32),
@@ -43,6 +43,7 @@ def face_table(mesh: Mesh) -> FaceTable:
     )
 
 
-def _marked_faces(part: Part) -> NDArray[np.int32]:
+def marked_faces(part: Part) -> NDArray[np.int32]:
+    """(F, 4) faces of a part, and whether the piece that each belongs to is closed."""
     pieces = [piece.faces for piece in components(part.vertices, part.faces)]
     return np.concatenate([np.insert(faces, 3, int(is_watertight(faces)), axis=1) for faces in pieces]).astype(np.int32)

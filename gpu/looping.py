@@ -15,6 +15,8 @@ Map = NDArray[np.float32]
 class LoopingScorer(ABC):
     """Asks ``score`` again for every map and every shift."""
 
+    name: str
+
     @abstractmethod
     def score(self, part_transforms: Transforms, log_ratio: Map) -> Floats:
         """(N, P, 3, 4) transforms, (H, W) map -> (N,) sums of the map under the silhouettes."""
@@ -31,3 +33,7 @@ class LoopingScorer(ABC):
             moved[:, :, :2, 3] += shift
             scores[:, k] = self.score(moved, log_ratio)
         return scores
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the device."""

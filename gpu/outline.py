@@ -15,7 +15,7 @@ from gpu.mesh import Mesh
 from gpu.occlusion import Occlusion
 from gpu.outline_cpu import CpuOutline, DeviceTable, unresolved
 from gpu.outline_gpu import GpuOutline
-from gpu.prefix import MapCache
+from gpu.prefix import MapCache, PrefixMaps
 from gpu.program import constant, device_errors
 from gpu.shifts import ShiftGrid
 
@@ -31,16 +31,16 @@ class OutlineScorer(LoopingScorer):
 
     def __init__(self, mesh: Mesh, report: DeviceReport, kernel: str | None = None) -> None:
         self.name = f"opencl:outline:{report.name}"
-        self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
+        self.queue = cl.CommandQueue(cl.Context([open_device(report)]))
         self._parts = len(mesh.parts)
         self._each = TRANSFORM_BYTES * self._parts
         with device_errors(self.name):
-            table = build_table(mesh, Occlusion(self._queue).hidden_pieces)
-            on_device = DeviceTable.upload(self._queue.context, table, self._parts)
-            self._by_group = GpuOutline(self._queue, on_device)
+            table = build_table(mesh, Occlusion(self.queue).hidden_pieces)
+            on_device = DeviceTable.upload(self.queue.context, table, self._parts)
+            self._by_group = GpuOutline(self.queue, on_device)
             use_cpu = (kernel or report.kind) == "cpu"
-            self._by_item = CpuOutline(self._queue, on_device) if use_cpu else None
-            self._maps = MapCache(self._queue.context)
+            self._by_item = CpuOutline(self.queue, on_device) if use_cpu else None
+            self._maps = MapCache(self.queue.context)
 
     def score(self, part_transforms: Transforms, log_ratio: Map) -> Floats:
         """(N, P, 3, 4) transforms, (H, W) map -> (N,) sums of the map under the silhouettes."""
@@ -51,11 +51,22 @@ class OutlineScorer(LoopingScorer):
         transforms = self._checked(part_transforms, maps.shape[-2:])
         with device_errors(self.name):
             prefix = self._maps.load(maps)
-            n_maps = len(prefix.units)
-            scores = np.empty((len(transforms), n_maps), np.int64)
-            for batch in batches(self._queue.device, len(transforms), self._each + 8 * n_maps):
-                scores[batch] = self._score(transforms[batch], prefix.buffer, n_maps, prefix.shape)
+            scores = np.empty((len(transforms), len(prefix.units)), np.int64)
+            for batch in batches(self.queue.device, len(transforms), self._each + 8 * len(prefix.units)):
+                scores[batch] = self._score(transforms[batch], prefix)
         return np.asarray(scores * prefix.units, dtype=np.float64)
+
+    def score_buffer(self, transforms: cl.Buffer, n: int, log_ratio: Map) -> tuple[cl.Buffer, float]:
+        """(n, P, 3, 4) float32 transforms where ``queue`` runs, (H, W) map -> (n,) int64 scores there, and the unit."""
+        with device_errors(self.name):
+            prefix = self._maps.load(log_ratio)
+            out = cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, 8 * max(1, n))
+            if n:
+                kernel = self._by_item or self._by_group
+                kernel.score(transforms, n, prefix.buffer, 1, prefix.shape, out)
+            if n and self._by_item is not None:
+                self._resolve(transforms, n, prefix, out)
+        return out, float(prefix.units[0])
 
     def score_shifts(self, part_transforms: Transforms, log_ratio: Map, shifts: NDArray[np.integer]) -> Floats:
         """(N, P, 3, 4) transforms, (H, W) map, (S, 2) whole pixels dx, dy -> (N, S) scores of the shifted silhouettes.
@@ -72,27 +83,41 @@ class OutlineScorer(LoopingScorer):
 
     def close(self) -> None:
         """Wait for the device."""
-        self._queue.finish()
+        self.queue.finish()
 
-    def _score(
-        self, transforms: Transforms, prefix: cl.Buffer, n_maps: int, shape: tuple[int, int]
-    ) -> NDArray[np.int64]:
-        scores = np.empty((len(transforms), n_maps), np.int64)
-        if len(transforms) == 0:
-            return scores
-        context = self._queue.context
+    def _score(self, transforms: Transforms, prefix: PrefixMaps) -> NDArray[np.int64]:
+        scores = np.empty((len(transforms), len(prefix.units)), np.int64)
+        context = self.queue.context
         out = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
         kernel = self._by_item or self._by_group
-        kernel.score(constant(context, transforms), len(transforms), prefix, n_maps, shape, out)
-        cl.enqueue_copy(self._queue, scores, out)
+        kernel.score(
+            constant(context, transforms), len(transforms), prefix.buffer, len(prefix.units), prefix.shape, out
+        )
+        cl.enqueue_copy(self.queue, scores, out)
         crowded = unresolved(scores)
         if len(crowded):
-            few = constant(context, transforms[crowded])
-            self._by_group.score(few, len(crowded), prefix, n_maps, shape, out)
-            again = np.empty((len(crowded), n_maps), np.int64)
-            cl.enqueue_copy(self._queue, again, out)
-            scores[crowded] = again
+            scores[crowded] = self._score_crowded(transforms[crowded], prefix)
         return scores
+
+    def _score_crowded(self, transforms: Transforms, prefix: PrefixMaps) -> NDArray[np.int64]:
+        """Particles that the kernel for CPUs had no room for."""
+        scores = np.empty((len(transforms), len(prefix.units)), np.int64)
+        out = cl.Buffer(self.queue.context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
+        on_device = constant(self.queue.context, transforms)
+        self._by_group.score(on_device, len(transforms), prefix.buffer, len(prefix.units), prefix.shape, out)
+        cl.enqueue_copy(self.queue, scores, out)
+        return scores
+
+    def _resolve(self, transforms: cl.Buffer, n: int, prefix: PrefixMaps, out: cl.Buffer) -> None:
+        """Score the crowded ones of n particles again, on the device's side."""
+        scores = np.empty((n, 1), np.int64)
+        cl.enqueue_copy(self.queue, scores, out)
+        crowded = unresolved(scores)
+        if len(crowded):
+            on_host = np.empty((n, self._parts, 3, 4), np.float32)
+            cl.enqueue_copy(self.queue, on_host, transforms)
+            scores[crowded] = self._score_crowded(on_host[crowded], prefix)
+            cl.enqueue_copy(self.queue, out, scores)
 
     def _score_grid(
         self, kernel: CpuOutline, transforms: Transforms, log_ratio: Map, steps: NDArray[np.int64]
@@ -106,13 +131,13 @@ class OutlineScorer(LoopingScorer):
         picked = np.empty((len(moved), len(steps)), np.int64)
         size = grid.rows, grid.columns
         with device_errors(self.name):
-            prefix = constant(self._queue.context, table)
-            for batch in batches(self._queue.device, len(moved), self._each + 8 * grid.rows * grid.columns):
+            prefix = constant(self.queue.context, table)
+            for batch in batches(self.queue.device, len(moved), self._each + 8 * grid.rows * grid.columns):
                 scores = np.empty((batch.stop - batch.start, *size), np.int64)
-                out = cl.Buffer(self._queue.context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
-                now = constant(self._queue.context, moved[batch])
+                out = cl.Buffer(self.queue.context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
+                now = constant(self.queue.context, moved[batch])
                 kernel.score_shifts(now, len(scores), prefix, first, width, size, canvas, out)
-                cl.enqueue_copy(self._queue, scores, out)
+                cl.enqueue_copy(self.queue, scores, out)
                 picked[batch] = grid.pick(scores, steps)
         result = np.asarray(picked * unit, dtype=np.float64)
         crowded = unresolved(picked)

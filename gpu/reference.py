@@ -17,7 +17,8 @@ def project(part: Part, transform: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     t = np.asarray(transform, dtype=np.float32)
     x, y, z = np.asarray(part.vertices, dtype=np.float32).T
-    return np.stack([((x * row[0] + y * row[1]) + z * row[2]) + row[3] for row in t[:2]], axis=1)
+    with np.errstate(all="ignore"):  # a pose that is no pose covers nothing
+        return np.stack([((x * row[0] + y * row[1]) + z * row[2]) + row[3] for row in t[:2]], axis=1)
 
 
 def silhouette_mask(mesh: Mesh, transforms: NDArray[np.float32], shape: tuple[int, int]) -> Mask:
@@ -26,34 +27,45 @@ def silhouette_mask(mesh: Mesh, transforms: NDArray[np.float32], shape: tuple[in
     ``transforms`` is (P, 3, 4), body point at rest -> (x px, y px, depth). A centre exactly on an edge belongs
     to the face on its right, or below it for a level edge: neighbours share no pixel and leave none out.
     """
-    mask = np.zeros(shape, dtype=bool)
+    height, width = shape
+    layers = np.zeros(height * (width + 1), dtype=np.int64)  # faces that begin here, less those that end
     for part, transform in zip(mesh.parts, transforms, strict=True):
-        corners = project(part, transform).astype(np.float64)
-        for triangle in corners[part.faces]:
-            _fill_triangle(mask, triangle)
-    return mask
+        corners = project(part, transform).astype(np.float64)[part.faces]
+        if np.isfinite(corners).all():
+            row, first, end = _spans(corners, shape)
+            layers += np.bincount(row * (width + 1) + first, minlength=len(layers))
+            layers -= np.bincount(row * (width + 1) + end, minlength=len(layers))
+    return np.asarray(layers.reshape(height, width + 1).cumsum(axis=1)[:, :width] > 0)
 
 
-def _fill_triangle(mask: Mask, triangle: NDArray[np.float64]) -> None:
-    """Cover the pixels whose centre is left of a face's right edges and not left of its left edges, row by row."""
-    height, width = mask.shape
-    y = triangle[:, 1]
-    top, bottom = max(0, int(np.ceil(y.min() - 0.5))), min(height, int(np.ceil(y.max() - 0.5)))
-    if top >= bottom:
-        return
-    centres = np.arange(top, bottom) + 0.5
-    left = np.full(len(centres), np.inf)
-    right = np.full(len(centres), -np.inf)
+def _spans(
+    corners: NDArray[np.float64], shape: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """(F, 3, 2) faces -> for every row of every face: the row, its first column, and the one after its last."""
+    height, width = shape
+    top, bottom = (_first_centre(limit(corners[:, :, 1], axis=1), height) for limit in (np.min, np.max))
+    face = np.repeat(np.arange(len(corners)), bottom - top)
+    row: NDArray[np.int64] = np.arange(len(face)) - np.repeat(np.cumsum(bottom - top) - bottom, bottom - top)
+    left, right = np.full(len(face), np.inf), np.full(len(face), -np.inf)
     for a, b in ((0, 1), (1, 2), (2, 0)):
-        upper, lower = (triangle[a], triangle[b]) if y[a] <= y[b] else (triangle[b], triangle[a])
-        crossed = (centres >= upper[1]) & (centres < lower[1])
-        if not crossed.any():
-            continue
-        x = upper[0] + (centres[crossed] - upper[1]) * ((lower[0] - upper[0]) / (lower[1] - upper[1]))
-        left[crossed] = np.minimum(left[crossed], x)
-        right[crossed] = np.maximum(right[crossed], x)
-    columns = np.arange(width) + 0.5
-    mask[top:bottom] |= (columns >= left[:, None]) & (columns < right[:, None])
+        x = _crossing(corners[face, a], corners[face, b], row.astype(np.float64) + 0.5)
+        left, right = np.fmin(left, x), np.fmax(right, x)
+    return row, _first_centre(left, width), _first_centre(right, width)
+
+
+def _crossing(a: NDArray[np.float64], b: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where the edges from a to b, (S, 2) each, cross the lines at y; NaN where they do not."""
+    swap = (a[:, 1] > b[:, 1])[:, None]
+    upper, lower = np.where(swap, b, a), np.where(swap, a, b)
+    crosses = (y >= upper[:, 1]) & (y < lower[:, 1])
+    drop = np.where(crosses, lower[:, 1] - upper[:, 1], 1.0)
+    x = upper[:, 0] + (y - upper[:, 1]) * ((lower[:, 0] - upper[:, 0]) / drop)
+    return np.where(crosses, x, np.nan)
+
+
+def _first_centre(value: NDArray[np.float64], end: int) -> NDArray[np.int64]:
+    """The first pixel whose centre is not before a coordinate, at most ``end``."""
+    return np.ceil(np.clip(value - 0.5, 0, end)).astype(np.int64)
 
 
 def reference_scores(

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.auto import AutoScorer
 from gpu.device import find_devices, no_device_reason
 from gpu.errors import DeviceError, DeviceLostError, ScorerError
 from gpu.fill import FillScorer
 from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
+from gpu.opengl import OpenGLScorer
 from gpu.outline import OutlineScorer
 from gpu.reference import reference_scores
 
 __all__ = ["DeviceError", "DeviceLostError", "Scorer", "ScorerError", "open_scorer"]
 
-BACKENDS = ("auto", "outline", "cpu", "cpu-mt", "reference")
+BACKENDS = ("auto", "outline", "opengl", "cpu", "cpu-mt", "reference")
 
 
 class Scorer(Protocol):
@@ -27,7 +30,9 @@ class Scorer(Protocol):
     A map that is a read-only array is kept on the device: pass the same array again for the same frame.
     """
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What scores, and on which device."""
 
     def score(self, part_transforms: Transforms, log_ratio: Map) -> Floats:
         """(N, P, 3, 4) transforms, (H, W) map -> (N,) sums over the pixels whose centre is covered."""
@@ -65,20 +70,33 @@ class ReferenceScorer(LoopingScorer):
 def open_scorer(mesh: Mesh, *, backend: str = "auto") -> Scorer:
     """Open a scorer for ``mesh``.
 
-    ``auto`` takes OpenCL where a device answers, else the reference, and warns. ``outline`` is the fast one;
-    ``cpu`` and ``cpu-mt`` fill the silhouette on one core or on all, as the paper's CPU rows do. Raises
-    ``ScorerError``, or ``DeviceError`` where a backend that was asked for has no device.
+    ========== =====================================================================================================
+    auto       ``outline`` on the device that is fastest for the mesh and the image, tried on the first particles; when
+               a device is lost, on the next one, at last ``reference`` (with a warning): the scores stay the same
+    outline    OpenCL, by outlines: the fast one
+    opengl     OpenGL draws the silhouettes, OpenCL sums under them: the paper's GPU row; its edges are OpenGL's
+    cpu        fill the silhouette, on one core: the paper's first row
+    cpu-mt     the same on all cores: its second
+    reference  NumPy, slow and obvious
+    ========== =====================================================================================================
+
+    Raises ``ScorerError``, and ``DeviceError`` where a backend that was asked for has no device.
     """
     if backend not in BACKENDS:
         raise ScorerError(f"scorer backend {backend!r} is not one of {', '.join(BACKENDS)}")
     if backend == "reference":
         return ReferenceScorer(mesh)
-    usable = [r for r in find_devices() if r.rejected is None and (r.kind == "cpu" or not backend.startswith("cpu"))]
-    if usable:
-        if backend.startswith("cpu"):
-            return FillScorer(mesh, usable[0], threads=1 if backend == "cpu" else None)
-        return OutlineScorer(mesh, usable[0])
-    if backend != "auto":
+    cpu_only = backend in ("cpu", "cpu-mt")
+    usable = [r for r in find_devices() if r.rejected is None and (r.kind == "cpu" or not cpu_only)]
+    if backend == "auto":
+        if not usable:
+            warnings.warn(f"scoring without OpenCL, slowly: {no_device_reason()}", RuntimeWarning, stacklevel=2)
+        outlines = [partial(OutlineScorer, mesh, report) for report in usable]
+        return AutoScorer([*outlines, partial(ReferenceScorer, mesh)])
+    if not usable:
         raise DeviceError(f"backend {backend!r} has no device: {no_device_reason()}")
-    warnings.warn(f"scoring without OpenCL, slowly: {no_device_reason()}", RuntimeWarning, stacklevel=2)
-    return ReferenceScorer(mesh)
+    if backend == "opengl":
+        return OpenGLScorer(mesh, usable[0])
+    if cpu_only:
+        return FillScorer(mesh, usable[0], threads=1 if backend == "cpu" else None)
+    return OutlineScorer(mesh, usable[0])
