@@ -13,18 +13,24 @@ from service.inference.symmetry import fold
 from service.inference.update import Update
 
 STAGES = ((64, 4, 24), (16, 5, 40), (6, 6, 60))  # islands, rounds, draws per round
+GLANCE = ((20, 4, 24), (8, 4, 40), (4, 5, 50))  # the same beside an established track
+GLANCE_SHARE = 0.25  # of the starts
 IN_PLAY_NATS = 12.0  # a basin whose peak lies further below the best, after the exponent, gets no particles
 
 
-def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = None) -> Islands:
+def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = None, glance: bool = False) -> Islands:
     """The basins whose peaks the frame's likelihood leaves in play, best first.
 
-    Of each set of twins the one nearest to ``anchor`` (one pose), or to the best island.
+    Of each set of twins the one nearest to ``anchor`` (one pose), or to the best island. A ``glance`` looks at fewer
+    starts: the track may stand, and the frame must not wait.
     """
     domain, metric = update.domain, update.metric
-    poses = place(update.rng, domain, evidence, update.score_maps, update.config.filter.acquisition_particles)
-    islands = scatter(poses, update.score(poses), metric, STAGES[0][0], search_reach(domain))
-    for count, rounds, draws in STAGES:
+    starts, stages = update.config.filter.acquisition_particles, STAGES
+    if glance:
+        starts, stages = max(1, round(GLANCE_SHARE * starts)), GLANCE
+    poses = place(update.rng, domain, evidence, update.score_maps, starts)
+    islands = scatter(poses, update.score(poses), metric, stages[0][0], search_reach(domain))
+    for count, rounds, draws in stages:
         islands = strongest(islands, metric, count)
         islands = refine(update.rng, islands, update.score, domain.contains, rounds, draws)
     top = int(np.argmax(islands.log_likelihood))

@@ -60,7 +60,8 @@ def track(
     draws = follow(update) if known else None
     renew = known and float(update.recall("age", 0.0)) % RENEW_FRAMES == 0
     if draws is None or not established or renew or not supported(update, draws):
-        draws = search(update, evidence, draws)
+        glance = draws is not None and established and supported(update, draws)
+        draws = search(update, evidence, draws, glance)
     if float(np.max(draws.log_likelihood)) <= 0.0:
         return unseen(update)
     return conclude(update, draws)
@@ -106,11 +107,11 @@ def predicted_components(update: Update) -> list[Component]:
     return parts
 
 
-def search(update: Update, evidence: Evidence, tracked: Draws | None) -> Draws:
+def search(update: Update, evidence: Evidence, tracked: Draws | None, glance: bool) -> Draws:
     """The whole space; beside ``tracked``, only what lies elsewhere."""
     top = 0 if tracked is None else int(np.argmax(tracked.log_likelihood))
     anchor = None if tracked is None else tracked.poses[top : top + 1]
-    islands = search_islands(update, evidence, anchor)
+    islands = search_islands(update, evidence, anchor, glance)
     if tracked is None:
         if update.config.filter.method == "tempered":
             return strew(update, islands)
