@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Mapping
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,10 @@ def describe_machine() -> dict[str, str | int | float]:
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
         "memory_gib": _memory_gib(),
         "system": platform.platform(),
-        "opencl": f"{usable[0].name} ({usable[0].platform})" if usable else "none",
+        "opencl": f"{usable[0].name} ({usable[0].platform} {usable[0].driver})" if usable else "none",
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "skypose": version("skypose"),
+        "skypose": _own_version(),
     }
 
 
@@ -36,6 +36,13 @@ def machine_line(machine: Mapping[str, Any]) -> str:
         f"OpenCL: {machine['opencl']}; Python {machine['python']}, NumPy {machine['numpy']}, "
         f"skypose {machine['skypose']}"
     )
+
+
+def _own_version() -> str:
+    try:
+        return version("skypose")
+    except PackageNotFoundError:  # run from the source tree, as deploy/gpu-check does with carried wheels
+        return "from source"
 
 
 def _cpu_name() -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gpu.bench import Contestant, contestants, told_absent
 from gpu.mesh import Mesh
-from gpu.scorer import Scorer
+from gpu.scorer import BACKENDS, Scorer
 from service.bench.peak_memory import peak_mib
 from service.bench.step_device import ResidentStep
 from service.bench.step_scene import INTERVAL_S, StepScene, step_scene
@@ -29,7 +29,8 @@ from service.inference.params import (
 from service.inference.state import Array, FilterState, Frame, Measurement, Poses
 from service.inference.step import step
 
-WARM_FRAMES = 3  # the default method finds the pose in the first and knows the rates after the third
+COMPARED = ("outline", "opengl", "cpu-mt", "cpu")
+SETTLED_FRAMES = 3  # the default method finds the pose in the first and knows the rates after the third
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,11 @@ class StepPlan:
     particles: tuple[int, ...] = (1_000, 10_000, 100_000)
     size_px: int = 512
     repeats: int = 7
-    longest_s: float = 30.0  # a step that would take longer is left out
+    longest_s: float = 5.0  # a step that would take longer is left out
     seed: int = 0
 
 
-QUICK = StepPlan(repeats=3, longest_s=2.0)
+QUICK = StepPlan(repeats=3, longest_s=1.0)
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ class StepContestant:
     name: str
     scorer: Contestant
     make: RunnerOf
+    warm_frames: int = 1
 
     @property
     def title(self) -> str:
@@ -123,16 +125,21 @@ class HostStep:
         return scores
 
 
-def step_contestants(backends: Sequence[str]) -> list[StepContestant]:
-    """The steps that can be compared, with each of these scorers. Raises ``ScorerError`` for an unknown one."""
+def step_contestants(backends: Sequence[str] = ()) -> list[StepContestant]:
+    """Every step with each of these scorers; by default with the fastest one, and the paper's with the others too.
+
+    Raises ``ScorerError`` for an unknown scorer.
+    """
+    offered = contestants(backends or [name for name in COMPARED if name in BACKENDS])
     return [
-        StepContestant(name, scorer, make)
-        for scorer in contestants(backends)
-        for name, make in (
-            ("paper, host", partial(HostStep, "paper")),
-            ("paper, device", _resident),
-            ("balanced, host", partial(HostStep, "balanced")),
+        StepContestant(name, scorer, make, warm)
+        for scorer in offered
+        for name, make, warm in (
+            ("paper, host", partial(HostStep, "paper"), 1),
+            ("paper, device", _resident, 1),
+            ("balanced, host", partial(HostStep, "balanced"), SETTLED_FRAMES),
         )
+        if backends or scorer.name == COMPARED[0] or name == "paper, host"
     ]
 
 
@@ -204,14 +211,14 @@ def _measure(
     for entry in entries:
         with told_absent(figures.absent, entry.title):
             runners[entry.title] = entry.make(opened[entry.scorer.name], scene, particles, plan.seed)
-            for frame in range(WARM_FRAMES):
+            for frame in range(entry.warm_frames):
                 runners[entry.title].run(1 + frame)
     times: dict[str, list[tuple[float, float]]] = {title: [] for title in runners}
     for repeat in range(plan.repeats):
         for title, runner in runners.items():
             if title not in figures.absent:
                 with told_absent(figures.absent, title):
-                    times[title].append(_timed(runner, 1 + WARM_FRAMES + repeat))
+                    times[title].append(_timed(runner, 1 + SETTLED_FRAMES + repeat))
     devices = {title: runner.device for title, runner in runners.items()}
     runners.clear()  # so that each one's memory is measured by itself
     for entry in entries:

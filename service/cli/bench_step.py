@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-DEFAULT_BACKENDS = ("outline", "opengl", "cpu-mt", "cpu")
-
 
 def step(
     json: Annotated[Path | None, typer.Option("--json", help="Write the rows as JSON.")] = None,
@@ -26,7 +24,6 @@ def step(
     from dataclasses import replace
     from functools import partial
 
-    from gpu.scorer import BACKENDS
     from service.bench.bodies import body_of
     from service.bench.machine import describe_machine
     from service.bench.step_bench import QUICK, StepPlan, bench_step, step_contestants
@@ -36,7 +33,7 @@ def step(
     with told(plot):
         plan = replace(QUICK if quick else StepPlan(), size_px=size, seed=seed)
         plan = replace(plan, particles=tuple(sorted(particles))) if particles else plan
-        entries = step_contestants(backend or [name for name in DEFAULT_BACKENDS if name in BACKENDS])
+        entries = step_contestants(backend or ())
         figures = bench_step(entries, body_of(faces), plan, lambda line: typer.echo(line, err=True))
         document = step_document(describe_machine(), figures)
         publish(document, (step_table(figures),), partial(step_plot, figures.rows), json, plot)
