@@ -44,7 +44,7 @@ class StepPlan:
     seed: int = 0
 
 
-QUICK = StepPlan(repeats=3, longest_s=1.0)
+QUICK = StepPlan(repeats=3, longest_s=3.0)
 
 
 @dataclass(frozen=True)
