@@ -12,7 +12,7 @@ from gpu.clusters import OutlineTable
 from gpu.program import KernelArgument, build, constant, zero
 
 LANES = 16
-CONSTANTS = {"KEPT": 512, "TALL": 4, "TALL_SLOTS": 256, "SHORT_SLOTS": 128, "BAND_STRIDE": 525}
+CONSTANTS = {"KEPT": 512, "TALL": 16, "TALL_SLOTS": 384, "SHORT_SLOTS": 512, "BAND_STRIDE": 1037}
 NO_ROOM = np.iinfo(np.int64).min  # score of a particle with more crossings in a row than there are slots
 
 
@@ -98,7 +98,7 @@ def scratch_size(height: int, width: int) -> int:
     """Numbers (int32) that ``take_scratch`` in the kernel hands out, rounded up to whole cache lines."""
     c = CONSTANTS
     bands = -(-height // LANES)
-    slots = (bands * c["BAND_STRIDE"] + c["KEPT"] * c["TALL"]) * LANES
+    slots = (c["KEPT"] + bands * c["BAND_STRIDE"] + c["KEPT"] * c["TALL"]) * LANES
     ends = bands * LANES + (bands + LANES) // LANES * LANES
     lists = 4 * c["KEPT"] + 2 * (c["KEPT"] * c["TALL"] + LANES)
     found = (c["TALL_SLOTS"] + c["SHORT_SLOTS"] + 2) * LANES

@@ -2,13 +2,14 @@
 //
 // One work-item takes particle after particle, and works on sixteen edges or sixteen rows at a time:
 //   choose   edges that are outline from here and cross the centre of at least one row,
-//   cross    them with the rows: per band of sixteen rows a list of slots, each with one crossing per row (lane),
+//   cross    them with the rows: per band of sixteen rows a stack of slots, each with one crossing per row (lane),
 //   sort     the slots of a band, so that every row's crossings run from left to right,
 //   walk     along them: where the winding becomes zero, or stops being zero, look the prefix sum up.
 //
 // Built with (gpu/outline_cpu.py): KEPT edges held between two passes, TALL rows up to which an edge's crossings are
-// listed one by one, TALL_SLOTS and SHORT_SLOTS of a band (the former for edges that fill a slot of a band by
-// themselves), BAND_STRIDE in slots (odd, so that the bands do not compete for the same lines of the cache).
+// listed one by one, TALL_SLOTS and SHORT_SLOTS of a band: from the boundary between them, edges that have a slot for
+// themselves go down, single crossings go up. BAND_STRIDE in slots has room for sorting, and is odd, so that the bands
+// do not compete for the same lines of the cache.
 //
 // Coordinates are those of pixel centres: pixel (i, j) is the point (j, i). A crossing is one number that sorts by
 // column, with its winding in the last eight bits.
@@ -18,7 +19,7 @@ typedef struct {
     __global int *rows;               // bottom << 16 | top << 3 | winding + 4
     __global int *short_row, *short_crossing;
     __global int *short_end;          // per row: where its next short crossing goes
-    __global int *tall_end;           // per band: the slot where its next tall edge goes
+    __global int *tall_first;         // per band: the slot of its last tall edge
     __global ints *slots;
     __global int *found;              // where a silhouette begins (odd) or ends: 2 * (lane * (width + 1) + column)
     int width, height, nothing;       // `nothing`: a crossing behind the last column that changes no winding
@@ -28,7 +29,7 @@ static int bands_of(const int height) { return (height + LANES - 1) / LANES; }
 
 static void empty_band(const Scratch s, const int band)
 {
-    s.tall_end[band] = band * BAND_STRIDE;
+    s.tall_first[band] = band * BAND_STRIDE + TALL_SLOTS;
     ((__global ints *)s.short_end)[band] = (band * BAND_STRIDE + TALL_SLOTS) * LANES + lane_numbers();
 }
 
@@ -40,10 +41,11 @@ static Scratch take_scratch(__global int *memory, const int width, const int hei
     s.height = height;
     s.nothing = (width + 1) << 8;
     s.slots = (__global ints *)memory;
-    memory += (bands * BAND_STRIDE + KEPT * TALL) * LANES;   // the last band may run over before it is noticed
+    s.slots += KEPT;   // the first band may run under, the last one over, before it is noticed
+    memory += (KEPT + bands * BAND_STRIDE + KEPT * TALL) * LANES;
     s.short_end = memory;
     memory += bands * LANES;
-    s.tall_end = memory;
+    s.tall_first = memory;
     memory += (bands + LANES) / LANES * LANES;
     s.x = (__global float *)memory;
     s.y = s.x + KEPT;
@@ -92,8 +94,8 @@ static void cross_tall(const Scratch s, const int edge)
     const float x = s.x[edge], y = s.y[edge], slope = s.slope[edge];
     for (int band = top / LANES; band <= (bottom - 1) / LANES; ++band) {
         const ints row = band * LANES + lane_numbers();
-        const int slot = s.tall_end[band];
-        s.tall_end[band] = slot + 1;
+        const int slot = s.tall_first[band] - 1;
+        s.tall_first[band] = slot;
         s.slots[slot] = (row >= top) & (row < bottom) ? crossing(x, y, slope, row, winding, s.width) : s.nothing;
     }
 }
@@ -126,12 +128,12 @@ static void cross_rows(const Scratch s, const int kept)
 static bool overflowed(const Scratch s)
 {
     ints full = 0;
-    int most = 0;
+    int least = 0;
     for (int band = 0; band < bands_of(s.height); ++band) {
         full |= ((__global ints *)s.short_end)[band] >= (band * BAND_STRIDE + TALL_SLOTS + SHORT_SLOTS) * LANES;
-        most = max(most, s.tall_end[band] - band * BAND_STRIDE);
+        least = min(least, s.tall_first[band] - band * BAND_STRIDE);
     }
-    return most > TALL_SLOTS || lanes_where(full);
+    return least < 0 || lanes_where(full);
 }
 
 // Which cell of directions (gpu/cells.py) a view belongs to.
@@ -172,16 +174,15 @@ static bool draw_outline(
 // Where silhouettes begin and end in a band's rows; returns how many such places were written to `found`.
 static int walk_band(const Scratch s, const int band)
 {
-    __global ints *slots = s.slots + band * BAND_STRIDE;
-    const ints ends = ((__global ints *)s.short_end)[band];
-    int n = s.tall_end[band] - band * BAND_STRIDE, found = 0;
-    for (int k = TALL_SLOTS;; ++k) {
-        const ints filled = ends > (band * BAND_STRIDE + k) * LANES + lane_numbers();
-        if (!lanes_where(filled)) break;
-        slots[n++] = filled ? slots[k] : s.nothing;
-    }
-    if (n == 0) return 0;
+    const int boundary = band * BAND_STRIDE + TALL_SLOTS, first = s.tall_first[band];
+    const ints end = ((__global ints *)s.short_end)[band];
+    int last = boundary, found = 0;
+    for (; lanes_where(end > last * LANES + lane_numbers()); ++last)
+        s.slots[last] = end > last * LANES + lane_numbers() ? s.slots[last] : s.nothing;
+    if (first == last) return 0;
     empty_band(s, band);
+    __global ints *slots = s.slots + first;
+    const int n = last - first;
     sort_lanes(slots, n, s.nothing);
     const ints line = lane_numbers() * (s.width + 1);
     ints winding = 0, inside = 0;
