@@ -19,8 +19,15 @@ def build(context: cl.Context, *files: str, options: Sequence[str] = ()) -> cl.P
     """Build the named files of ``gpu/kernels``, as if they were one."""
     folder = resources.files("gpu").joinpath("kernels")
     source = "\n".join(folder.joinpath(name).read_text() for name in files)
-    program: cl.Program = cl.Program(context, source).build(["-w", *options])
+    program: cl.Program = cl.Program(context, source).build(["-w", *_exact_division(context), *options])
     return program
+
+
+def _exact_division(context: cl.Context) -> list[str]:
+    """Round divisions as the reference does, on devices that can: a crossing then falls into the same pixel."""
+    exact = cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+    able = all(device.single_fp_config & exact for device in context.devices)
+    return ["-cl-fp32-correctly-rounded-divide-sqrt"] if able else []
 
 
 def constant(context: cl.Context, values: NDArray[np.generic]) -> cl.Buffer:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from gpu.mesh import Mesh, Part
 
 Mask = NDArray[np.bool_]
+Points = NDArray[np.float32]
 
 
 def project(part: Part, transform: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -30,7 +31,9 @@ def silhouette_mask(mesh: Mesh, transforms: NDArray[np.float32], shape: tuple[in
     height, width = shape
     layers = np.zeros(height * (width + 1), dtype=np.int64)  # faces that begin here, less those that end
     for part, transform in zip(mesh.parts, transforms, strict=True):
-        corners = project(part, transform).astype(np.float64)[part.faces]
+        to_centres = np.array(transform, dtype=np.float32)
+        to_centres[:2, 3] -= np.float32(0.5)  # coordinates in which pixel (i, j) is the point (j, i)
+        corners = project(part, to_centres)[part.faces]
         if np.isfinite(corners).all():
             row, first, end = _spans(corners, shape)
             layers += np.bincount(row * (width + 1) + first, minlength=len(layers))
@@ -38,34 +41,34 @@ def silhouette_mask(mesh: Mesh, transforms: NDArray[np.float32], shape: tuple[in
     return np.asarray(layers.reshape(height, width + 1).cumsum(axis=1)[:, :width] > 0)
 
 
-def _spans(
-    corners: NDArray[np.float64], shape: tuple[int, int]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _spans(corners: Points, shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """(F, 3, 2) faces -> for every row of every face: the row, its first column, and the one after its last."""
     height, width = shape
-    top, bottom = (_first_centre(limit(corners[:, :, 1], axis=1), height) for limit in (np.min, np.max))
+    top, bottom = (_first_from(limit(corners[:, :, 1], axis=1), height) for limit in (np.min, np.max))
     face = np.repeat(np.arange(len(corners)), bottom - top)
     row: NDArray[np.int64] = np.arange(len(face)) - np.repeat(np.cumsum(bottom - top) - bottom, bottom - top)
-    left, right = np.full(len(face), np.inf), np.full(len(face), -np.inf)
+    first, end = np.full(len(face), width), np.zeros(len(face), dtype=np.int64)
     for a, b in ((0, 1), (1, 2), (2, 0)):
-        x = _crossing(corners[face, a], corners[face, b], row.astype(np.float64) + 0.5)
-        left, right = np.fmin(left, x), np.fmax(right, x)
-    return row, _first_centre(left, width), _first_centre(right, width)
+        crossed, x = _crossing(corners[face, a], corners[face, b], row.astype(np.float32))
+        column = _first_from(x, width)
+        first[crossed] = np.minimum(first, column)[crossed]
+        end[crossed] = np.maximum(end, column)[crossed]
+    return row, first, end
 
 
-def _crossing(a: NDArray[np.float64], b: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where the edges from a to b, (S, 2) each, cross the lines at y; NaN where they do not."""
+def _crossing(a: Points, b: Points, y: NDArray[np.float32]) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Which edges from a to b, (S, 2) each, cross the lines at y, and where; from the upper end on, as the kernels."""
     swap = (a[:, 1] > b[:, 1])[:, None]
     upper, lower = np.where(swap, b, a), np.where(swap, a, b)
-    crosses = (y >= upper[:, 1]) & (y < lower[:, 1])
-    drop = np.where(crosses, lower[:, 1] - upper[:, 1], 1.0)
-    x = upper[:, 0] + (y - upper[:, 1]) * ((lower[:, 0] - upper[:, 0]) / drop)
-    return np.where(crosses, x, np.nan)
+    crossed = (y >= upper[:, 1]) & (y < lower[:, 1])
+    slope = (lower[:, 0] - upper[:, 0]) / np.where(crossed, lower[:, 1] - upper[:, 1], np.float32(1.0))
+    with np.errstate(over="ignore"):  # of edges that do not cross
+        return crossed, np.asarray(upper[:, 0] + (y - upper[:, 1]) * slope, dtype=np.float32)
 
 
-def _first_centre(value: NDArray[np.float64], end: int) -> NDArray[np.int64]:
-    """The first pixel whose centre is not before a coordinate, at most ``end``."""
-    return np.ceil(np.clip(value - 0.5, 0, end)).astype(np.int64)
+def _first_from(value: NDArray[np.float32], end: int) -> NDArray[np.int64]:
+    """The first of the points 0, 1, 2, ... that is not before a coordinate, at most ``end``."""
+    return np.ceil(np.clip(value, 0, end)).astype(np.int64)
 
 
 def reference_scores(

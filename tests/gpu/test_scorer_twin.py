@@ -45,7 +45,10 @@ def test_agrees_on_real_spacecraft(shared, name, kernel):
     mesh = shared_mesh(shared / "data" / "meshes" / f"{name}.glb")
     rng = np.random.default_rng(5)
     shape = (256, 256)
-    assert_twins(mesh, kernel, transforms(rng, mesh, 5, 110.0, shape), a_map(rng, shape))
+    poses = transforms(rng, mesh, 12, 110.0, shape)
+    assert_twins(mesh, kernel, poses, a_map(rng, shape))
+    ones = np.ones((1, *shape), np.float32)
+    assert np.array_equal(open_outline(mesh, kernel).score_many(poses, ones), reference_scores(mesh, poses, ones))
 
 
 @pytest.mark.parametrize("kernel", BACKENDS)
