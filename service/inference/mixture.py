@@ -19,12 +19,13 @@ from scipy.special import gammaln
 from service.inference.modes import Metric, short_way
 from service.inference.pose import concatenate, local, retract
 from service.inference.state import Array, Poses
-from service.inference.weights import effective_sample_size, log_sum_exp
+from service.inference.weights import effective_sample_size, log_sum_exp, normalise
 
 Score = Callable[[Poses], Array]
 
 ROUND_DRAWS = 150
-MOST_ROUNDS = 20
+MOST_ROUNDS = 10  # of tempering before and after a climb
+CLIMB_ROUNDS = 12
 ROUND_ESS = 0.25  # of a round's draws
 INFLATION = 1.3  # of the proposal's covariance, so that its tails are not lighter than the target's
 TAIL = 8.0  # degrees of freedom of the last draws' Student t
@@ -110,28 +111,65 @@ class Proposal:
 
 
 def adapt(rng: np.random.Generator, part: Component, score: Score, exponent: float) -> tuple[Proposal, float]:
-    """Move the proposal from the prediction onto the posterior; also the log evidence as the last round sees it."""
+    """Move the proposal from the prediction onto the posterior; also the log evidence as the last round sees it.
+
+    Where tempering comes to a halt, because nearly all of the prediction scores alike and the peak is a needle in it,
+    the best draws of some rounds lead to the peak by their ranks alone (a cross-entropy search), and it starts anew.
+    """
     prior = prediction(part)
-    proposal, log_evidence, previous = prior, 0.0, 0.0
+    proposal, log_evidence, done = temper_proposal(rng, part, score, exponent, prior)
+    if not done:
+        proposal = climb(rng, part, score, exponent, proposal)
+        proposal, log_evidence, _ = temper_proposal(rng, part, score, exponent, proposal)
+    return proposal, log_evidence
+
+
+def temper_proposal(
+    rng: np.random.Generator, part: Component, score: Score, exponent: float, proposal: Proposal
+) -> tuple[Proposal, float, bool]:
+    """Rounds of draws with a rising exponent; whether the full one was reached."""
+    prior, log_evidence, previous = prediction(part), 0.0, 0.0
     for _ in range(MOST_ROUNDS):
-        x = proposal.mean + rng.standard_normal((ROUND_DRAWS, len(prior.mean))) @ proposal.factor.T
-        poses = retract(part.mean, x)
-        log_likelihood = score(poses)
+        x, log_likelihood = try_out(rng, part, score, proposal)
         base = log_density(prior, x) - log_density(proposal, x)
         beta = steepest_exponent(base, log_likelihood, exponent)
-        log_weights = base + beta * log_likelihood
-        weights = np.exp(log_weights - np.max(log_weights))
-        weights /= weights.sum()
-        log_evidence = log_sum_exp(base + exponent * log_likelihood) - np.log(len(x))
+        weights = np.exp(normalise(base + beta * log_likelihood)[0])
+        log_evidence = log_sum_exp(base + exponent * log_likelihood) - float(np.log(len(x)))
         mean = weights @ x
         covariance = INFLATION * np.einsum("n,ni,nj->ij", weights, x - mean, x - mean)
         # Few effective draws underestimate the width in some direction: keep a little of the old one.
         covariance += 0.05 * proposal.factor @ proposal.factor.T + 1e-9 * part.covariance
         proposal = Proposal(mean, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
         if beta >= exponent and previous >= exponent:
-            break
+            return proposal, log_evidence, True
         previous = beta
-    return proposal, float(log_evidence)
+    return proposal, log_evidence, False
+
+
+def try_out(rng: np.random.Generator, part: Component, score: Score, proposal: Proposal) -> tuple[Array, Array]:
+    """A round of draws (N, d) and what they score (N,)."""
+    x = proposal.mean + rng.standard_normal((ROUND_DRAWS, len(proposal.mean))) @ proposal.factor.T
+    return x, score(retract(part.mean, x))
+
+
+def climb(rng: np.random.Generator, part: Component, score: Score, exponent: float, proposal: Proposal) -> Proposal:
+    """A cross-entropy search for the posterior's peak; the widest of its proposals whose draws are near the peak.
+
+    Draws of a Gaussian k times as wide as the posterior lie k^2 d / 2 below the peak.
+    """
+    prior, d = prediction(part), len(proposal.mean)
+    peak, tried = -np.inf, []
+    for _ in range(CLIMB_ROUNDS):
+        x, log_likelihood = try_out(rng, part, score, proposal)
+        target = log_density(prior, x) + exponent * log_likelihood
+        peak = max(peak, float(target.max()))
+        tried.append((float(np.median(target)), proposal))
+        best = x[np.argsort(-target)[: ROUND_DRAWS // 4]]
+        mean = best.mean(axis=0)
+        covariance = np.einsum("ni,nj->ij", best - mean, best - mean) / len(best)
+        covariance += 0.05 * proposal.factor @ proposal.factor.T + 1e-9 * part.covariance
+        proposal = Proposal(mean, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+    return next((wide for median, wide in tried if median > peak - 2 * d), proposal)
 
 
 def steepest_exponent(base: Array, log_likelihood: Array, exponent: float) -> float:

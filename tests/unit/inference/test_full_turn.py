@@ -102,7 +102,6 @@ def test_the_joint_and_its_rate_are_followed_by_importance(start):
         assert 0.6 * deviation < spread < 2.0 * deviation
 
 
-@pytest.mark.xfail(strict=True, reason="where nearly all of the prediction scores alike, the proposal finds no way")
 @pytest.mark.parametrize("start", [90.0, 345.0])
 def test_a_prediction_far_wider_than_the_peak_is_no_obstacle(start):
     """Half a second between frames: 10 px predicted about a peak of 0.4 px in a likelihood that is flat elsewhere."""
