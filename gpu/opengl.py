@@ -62,7 +62,7 @@ class OpenGLScorer(LoopingScorer):
         tiles = self._bounds.tiles(transforms, (log_ratio.shape[0], log_ratio.shape[1]))
         atlas = atlas_size(tiles, len(transforms), self._renderer.largest_side)
         each = tiles.capacity(atlas)
-        with device_errors(self.name):
+        with device_errors(self.name), self._gl:  # another scorer's context may be the current one
             loaded = self._reducer.load(log_ratio)
             for start in range(0, len(transforms), each):
                 batch = slice(start, start + each)
@@ -76,7 +76,8 @@ class OpenGLScorer(LoopingScorer):
     def close(self) -> None:
         """Release OpenCL's hold on OpenGL's memory first, then the context."""
         if self._lent is not None:
-            self._lent[1].release()
+            with self._gl:
+                self._lent[1].release()
             self._lent = None
         self._opened.close()
 

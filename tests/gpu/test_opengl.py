@@ -79,6 +79,17 @@ def test_neighbours_in_the_atlas_do_not_touch(open_opengl):
     assert np.abs(alone - together).max() < 5 * np.abs(values).max()
 
 
+def test_two_scorers_in_one_thread_keep_to_their_own_contexts(open_opengl):
+    rng = np.random.default_rng(26)
+    values, meshes = a_map(rng), [mesh_of(box()), mesh_of(sphere(), box((6, 0.2, 0.2)))]
+    scorers = [open_opengl(mesh) for mesh in meshes]
+    for _ in range(2):
+        for mesh, scorer in zip(meshes, scorers, strict=True):
+            assert_within_the_edge_band(mesh, scorer, transforms(rng, mesh, 5, 30.0), values)
+    scorers[1].close()
+    assert_within_the_edge_band(meshes[0], scorers[0], transforms(rng, meshes[0], 5, 30.0), values)
+
+
 def test_more_particles_than_the_atlas_holds(open_opengl):
     rng = np.random.default_rng(23)
     mesh = mesh_of(box())
