@@ -9,17 +9,21 @@ from typing import Any
 
 import cv2
 import numpy as np
+import trimesh
 
+from gpu.mesh import Mesh, Part
 from service.errors import ImageMismatchError, MeshFileError, MissingBlobError
 from service.imaging.decode import decode_frame
 from service.imaging.split import SplitFrame, split_frames
 from service.inference.articulation import Articulation, Joint, Stage, hold
 from service.inference.state import Estimate, FilterState, Mode, PoseEstimate, Poses, Spread
+from service.models.mesh_glb import mesh_glb
 from service.workers.base import (
     BackgroundJob,
     BackgroundReport,
     FrameJob,
     FrameReport,
+    MeshJob,
     ModelJob,
     ModelReport,
     OverlayJob,
@@ -89,8 +93,17 @@ class FakeWorker:
         if job.model not in self.blobs:
             raise MissingBlobError.of([job.model])
         image = cv2.cvtColor(decode(job.body, job.media_type), cv2.COLOR_GRAY2BGR)
-        image[..., 0] = 255
+        if job.silhouette:
+            image[..., 0] = 255
         return cv2.imencode(".png", image)[1].tobytes()
+
+    def mesh(self, job: MeshJob) -> bytes:
+        self.blobs.update(job.blobs)
+        if job.model not in self.blobs:
+            raise MissingBlobError.of([job.model])
+        box = trimesh.creation.box((1.0, 1.0, 1.0))
+        parts = tuple(Part(name, box.vertices, box.faces.astype(np.int32)) for name in ("body", "wing"))
+        return mesh_glb(Mesh(parts, (1.0, 2.0, 3.0), (1.0, 1.0, 1.0), 0.9, True))
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
         return smooth_pass(job)

@@ -76,7 +76,18 @@ async def read_estimate(session_id: str, index: Index, services: ServicesDep) ->
 )
 async def read_overlay(session_id: str, index: Index, services: ServicesDep) -> Response:
     """The frame with the best silhouette in blue (the paper's Table 1)."""
-    image = await services.archive.overlay(session_id, index)
+    image = await services.archive.picture(session_id, index, silhouette=True)
+    return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
+
+
+@router.get(
+    "/estimates/{index}/frame.png",
+    response_class=Response,
+    responses={200: {"content": {"image/png": {}}}, **problems(404, 410, 422, 503)},
+)
+async def read_picture(session_id: str, index: Index, services: ServicesDep) -> Response:
+    """The frame alone, 8 bits, stretched where people would see nothing otherwise."""
+    image = await services.archive.picture(session_id, index, silhouette=False)
     return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
 
 
@@ -101,11 +112,12 @@ async def read_particles(
     request: Request,
     services: ServicesDep,
     index: Annotated[int | None, Query(ge=0, le=2**53, description="Frame; the newest by default")] = None,
+    most: Annotated[int | None, Query(ge=1, description="No more than so many, drawn by their weights")] = None,
 ) -> Response:
     """The weighted particles after a frame, as JSON or (`Accept: application/x-npz`) as NumPy arrays."""
     found, packed, names = await services.archive.particles(session_id, index)
     as_npz = NPZ in request.headers.get("accept", "")
-    body = await asyncio.to_thread(_npz if as_npz else _particles_json, packed, found, names)
+    body = await asyncio.to_thread(_npz if as_npz else _particles_json, packed, found, names, most)
     return Response(body, media_type=NPZ if as_npz else "application/json", headers={"Vary": "Accept"})
 
 
@@ -124,14 +136,15 @@ async def export(session_id: str, services: ServicesDep, query: Annotated[Export
     return Response(body, media_type=kind.media_type, headers={"Content-Disposition": disposition})
 
 
-def _npz(packed: bytes, index: int, names: tuple[str, ...]) -> bytes:
+def _npz(packed: bytes, index: int, names: tuple[str, ...], most: int | None) -> bytes:
     buffer = io.BytesIO()
-    np.savez(buffer, index=np.int64(index), joint_names=np.array(names, dtype=np.str_), **particle_arrays(packed))
+    arrays = particle_arrays(packed, most)
+    np.savez(buffer, index=np.int64(index), joint_names=np.array(names, dtype=np.str_), **arrays)
     return buffer.getvalue()
 
 
-def _particles_json(packed: bytes, index: int, names: tuple[str, ...]) -> bytes:
-    arrays = {name: np.ascontiguousarray(value) for name, value in particle_arrays(packed).items()}
+def _particles_json(packed: bytes, index: int, names: tuple[str, ...], most: int | None) -> bytes:
+    arrays = {name: np.ascontiguousarray(value) for name, value in particle_arrays(packed, most).items()}
     order = {"orientation_order": ["w", "x", "y", "z"], "joint_names": names}
     return orjson.dumps({"index": index, **order, **arrays}, option=orjson.OPT_SERIALIZE_NUMPY)
 

@@ -83,6 +83,17 @@ async def read_model(model_id: str, services: ServicesDep) -> dict[str, Any]:
     return await services.library.get(model_id)
 
 
+@router.get(
+    "/{model_id}/mesh.glb",
+    response_class=Response,
+    responses={200: {"content": {"model/gltf-binary": {}}}, **problems(404, 503)},
+)
+async def read_mesh(model_id: str, services: ServicesDep) -> Response:
+    """The mesh as it was prepared: body frame, joints at rest, one node per part."""
+    data = await services.library.mesh(model_id)
+    return Response(data, media_type="model/gltf-binary", headers={"Cache-Control": "private, max-age=86400"})
+
+
 @router.delete("/{model_id}", status_code=204, responses=problems(404, 409))
 async def delete_model(model_id: str, services: ServicesDep) -> None:
     """Delete a model that no session needs."""

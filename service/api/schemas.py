@@ -137,6 +137,8 @@ class Stage(Wire):
     parts: list[str]
     axis: list[float]
     origin: list[float]
+    depth: int
+    """Deeper stages, of all joints together, are applied first."""
 
 
 class Joint(Stage):

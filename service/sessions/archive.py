@@ -68,8 +68,8 @@ class Archive:
         _, stored = await self.database.read(frames.find, session_id, index=None, key=key)
         return None if stored is None else await self.estimate(session_id, stored.index)
 
-    async def overlay(self, session_id: str, index: int) -> bytes:
-        """PNG of a frame with its best silhouette. Raises ``GoneError`` where the frame is no longer kept."""
+    async def picture(self, session_id: str, index: int, *, silhouette: bool) -> bytes:
+        """PNG of a frame, with its best silhouette or without. Raises ``GoneError`` where it is no longer kept."""
         body, media_type = await self.database.read(frames.body, session_id, index)
         estimate = orjson.loads(await self.estimate(session_id, index))
         best = estimate["best"]
@@ -86,6 +86,7 @@ class Archive:
             scale=best["scale_px"],
             joints=np.array([best["joints"][joint.name] for joint in articulation.joints], dtype=np.float64),
             ser_byte_order=config.camera.ser_byte_order,
+            silhouette=silhouette,
         )
         return await self._engine.overlay(job, self._blob)
 
@@ -136,16 +137,26 @@ def _export(form: str, documents: Sequence[bytes], pose: PoseName, subject: Subj
     return export(form, [orjson.loads(document) for document in documents], pose, subject)
 
 
-def particle_arrays(packed: bytes) -> dict[str, Any]:
-    """A packed state as named arrays: orientation (N, 4) w x y z, position_px (N, 2), scale_px, joints, weights."""
+def particle_arrays(packed: bytes, most: int | None = None) -> dict[str, Any]:
+    """A packed state as named arrays: orientation (N, 4) w x y z, position_px (N, 2), scale_px, joints, weights.
+
+    Of more than ``most`` particles, so many are drawn (systematically, so the same every time), each once and with
+    the share of the draws that fell on it as its weight.
+    """
     state = decode(FilterState, packed)
-    return {
+    arrays = {
         "orientation": state.poses.quaternion,
         "position_px": state.poses.position,
         "scale_px": np.exp(state.poses.log_scale),
         "joints": state.poses.joints,
-        "weights": np.exp(state.log_weights - np.logaddexp.reduce(state.log_weights)),
     }
+    weights = np.exp(state.log_weights - np.logaddexp.reduce(state.log_weights))
+    if most is None or len(weights) <= most:
+        return {**arrays, "weights": weights}
+    cumulative = np.cumsum(weights)
+    draws = np.searchsorted(cumulative / cumulative[-1], (np.arange(most) + 0.5) / most)
+    drawn, counts = np.unique(draws, return_counts=True)
+    return {**{name: value[drawn] for name, value in arrays.items()}, "weights": counts / most}
 
 
 def session_document(record: SessionRecord) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from service.sessions.frame import format_time
 from service.store import models
 from service.store.base import ModelRecord
 from service.store.database import Database
-from service.workers.base import ModelJob, ModelReport
+from service.workers.base import MeshJob, ModelJob, ModelReport
 from service.workers.engine import Engine
 
 ARTICULATION: TypeAdapter[Articulation] = TypeAdapter(Articulation)
@@ -84,6 +84,11 @@ class Library:
         """One model. Raises ``NotFoundError``."""
         return model_document(await self._database.read(models.get, model_id))
 
+    async def mesh(self, model_id: str) -> bytes:
+        """GLB of a model as it was prepared. Raises ``NotFoundError``."""
+        record = await self._database.read(models.get, model_id)
+        return await self._engine.mesh(MeshJob(record.blob_key, record.file_type), self._blob)
+
     async def page(self, after: int, limit: int) -> tuple[list[bytes], int | None]:
         """Models after a cursor as JSON, and the cursor of the next page or None."""
         found = await self._database.read(models.page, after, limit + 1)
@@ -93,6 +98,9 @@ class Library:
     async def remove(self, model_id: str) -> None:
         """Delete a model. Raises ``NotFoundError``, or ``ModelInUseError`` while a session needs it."""
         await self._database.write(models.remove, model_id)
+
+    async def _blob(self, key: str) -> bytes:
+        return await self._database.read(models.get_blob, key)
 
 
 def _jsons(records: Sequence[ModelRecord]) -> list[bytes]:
@@ -154,4 +162,10 @@ def _joint(joint: Joint, centre: list[float]) -> Document:
 
 def _stage(stage: Stage, centre: list[float]) -> Document:
     origin = [a + b for a, b in zip(stage.origin, centre, strict=True)]  # body frame -> file coordinates
-    return {"kind": stage.kind, "parts": list(stage.parts), "axis": list(stage.axis), "origin": origin}
+    return {
+        "kind": stage.kind,
+        "parts": list(stage.parts),
+        "axis": list(stage.axis),
+        "origin": origin,
+        "depth": stage.depth,
+    }

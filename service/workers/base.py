@@ -135,6 +135,16 @@ class OverlayJob:
     joints: NDArray[np.float64]  # (J,)
     blobs: Mapping[str, bytes] = field(default_factory=dict)
     ser_byte_order: Literal["auto", "little", "big"] = "auto"
+    silhouette: bool = True  # False: the frame alone, as people can look at it
+
+
+@dataclass(frozen=True)
+class MeshJob:
+    """Write a model's prepared mesh as GLB, in the body frame, one node per part."""
+
+    model: str
+    file_type: str
+    blobs: Mapping[str, bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -170,7 +180,10 @@ class Worker(Protocol):
         """Decode a frame, measure it, and run one step of the filter."""
 
     def overlay(self, job: OverlayJob) -> bytes:
-        """PNG of the frame with the silhouette in blue."""
+        """PNG of the frame with the silhouette in blue, or of the frame alone."""
+
+    def mesh(self, job: MeshJob) -> bytes:
+        """GLB of a model's prepared mesh."""
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
         """Backwards over a pass that was tracked."""

@@ -11,6 +11,7 @@ from service.workers.base import (
     BackgroundJob,
     BackgroundReport,
     FrameJob,
+    MeshJob,
     ModelJob,
     ModelReport,
     OverlayJob,
@@ -84,6 +85,15 @@ class Engine:
         async def run(brought: Mapping[str, bytes]) -> bytes:
             image: bytes = await self.transport.call(None, "overlay", replace(job, blobs=brought))
             return image
+
+        return await _with_blobs(run, blobs)
+
+    async def mesh(self, job: MeshJob, blobs: BlobSource) -> bytes:
+        """GLB of a model's prepared mesh."""
+
+        async def run(brought: Mapping[str, bytes]) -> bytes:
+            data: bytes = await self.transport.call(None, "mesh", replace(job, blobs=brought))
+            return data
 
         return await _with_blobs(run, blobs)
 

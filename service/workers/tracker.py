@@ -27,7 +27,7 @@ from service.imaging.background import Background, Sky, derive, known_pixels, le
 from service.imaging.decode import ByteOrder, decode_frame, decode_frames
 from service.imaging.decode import Frame as Image
 from service.imaging.features import feature_spec
-from service.imaging.overlay import draw_overlay, encode_png
+from service.imaging.overlay import draw_overlay, encode_png, for_display
 from service.imaging.split import SplitFrame, split_frames
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
@@ -36,6 +36,7 @@ from service.inference.state import Array, Frame, Measurement, PoseEstimate, Pos
 from service.inference.step import step
 from service.inference.symmetry import Symmetry
 from service.models.articulations import read_joints
+from service.models.mesh_glb import mesh_glb
 from service.models.symmetry import describe_symmetries, model_symmetries, with_periods
 from service.models.symmetry_group import held_symmetries
 from service.workers.base import (
@@ -43,6 +44,7 @@ from service.workers.base import (
     BackgroundReport,
     FrameJob,
     FrameReport,
+    MeshJob,
     ModelJob,
     ModelReport,
     OverlayJob,
@@ -194,13 +196,19 @@ class Tracker:
         return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scorer.name, belief)
 
     def overlay(self, job: OverlayJob) -> bytes:
-        """PNG of the frame with the silhouette in blue."""
+        """PNG of the frame with the silhouette in blue, or of the frame alone."""
         image = self._image(job.body, job.media_type, job.ser_byte_order)
+        if not job.silhouette:
+            return encode_png(for_display(image.image))
         mesh = self._mesh(job.model, job.file_type, job.blobs)
         pose = PoseEstimate(job.quaternion, job.position, job.scale, job.joints)
         height, width = image.image.shape[:2]
         mask = draw_silhouette(mesh, job.articulation, pose, (height, width))
         return encode_png(draw_overlay(image.image, mask))
+
+    def mesh(self, job: MeshJob) -> bytes:
+        """GLB of a model's prepared mesh."""
+        return mesh_glb(self._mesh(job.model, job.file_type, job.blobs))
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
         """Backwards over a pass that was tracked."""
