@@ -22,4 +22,8 @@ class DeviceLostError(DeviceError):
 
 
 class ImageSizeError(ScorerError):
-    """The map is larger than a scorer can take."""
+    """The map is larger than a scorer can take: ``limit`` px a side."""
+
+    def __init__(self, message: str, limit: int) -> None:
+        super().__init__(message)
+        self.limit = limit

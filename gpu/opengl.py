@@ -55,8 +55,8 @@ class OpenGLScorer(LoopingScorer):
         """(N, P, 3, 4) transforms, (H, W) map -> (N,) sums of the map under the silhouettes."""
         transforms = np.nan_to_num(np.ascontiguousarray(part_transforms, dtype=np.float32))
         scores = np.zeros(len(transforms))
-        if max(log_ratio.shape) > self._renderer.largest_side:
-            raise ImageSizeError(f"an image of {log_ratio.shape} is larger than OpenGL's textures")
+        if max(log_ratio.shape) > (limit := self._renderer.largest_side):
+            raise ImageSizeError(f"an image of {log_ratio.shape} is larger than OpenGL's textures, {limit}", limit)
         if len(transforms) == 0:
             return scores
         tiles = self._bounds.tiles(transforms, (log_ratio.shape[0], log_ratio.shape[1]))

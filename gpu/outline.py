@@ -150,5 +150,6 @@ class OutlineScorer(LoopingScorer):
         if transforms.shape[1:] != (self._parts, 3, 4):
             raise ScorerError(f"transforms are {transforms.shape}, not (N, {self._parts}, 3, 4)")
         if max(shape) > LARGEST_SIDE:
-            raise ImageSizeError(f"an image of {shape[1]} x {shape[0]} is larger than {LARGEST_SIDE} a side")
+            message = f"an image of {shape[1]} x {shape[0]} is larger than {LARGEST_SIDE} a side"
+            raise ImageSizeError(message, LARGEST_SIDE)
         return transforms

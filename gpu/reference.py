@@ -72,7 +72,7 @@ def _first_from(value: NDArray[np.float32], end: int) -> NDArray[np.int64]:
 
 
 def reference_scores(
-    mesh: Mesh, part_transforms: NDArray[np.float32], maps: NDArray[np.float32]
+    mesh: Mesh, part_transforms: NDArray[np.float32], maps: NDArray[np.float32] | NDArray[np.int32]
 ) -> NDArray[np.float64]:
     """(N, P, 3, 4) transforms and (K, H, W) maps -> (N, K) sums of each map under each silhouette."""
     values = np.asarray(maps, dtype=np.float64)

@@ -17,6 +17,7 @@ from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
 from gpu.opengl import OpenGLScorer
 from gpu.outline import OutlineScorer
+from gpu.prefix import fixed_point
 from gpu.reference import reference_scores
 
 __all__ = ["DeviceError", "DeviceLostError", "Scorer", "ScorerError", "open_scorer"]
@@ -61,7 +62,9 @@ class ReferenceScorer(LoopingScorer):
 
     def score_many(self, part_transforms: Transforms, maps: Map) -> Floats:
         """See ``Scorer.score_many``."""
-        return reference_scores(self._mesh, part_transforms, maps)
+        units = [fixed_point(one) for one in maps]  # the other scorers' units: their sums, bit for bit
+        whole = reference_scores(self._mesh, part_transforms, np.stack([one for one, _ in units]))
+        return np.asarray(whole * np.array([unit for _, unit in units]), dtype=np.float64)
 
     def close(self) -> None:
         """Nothing to release."""
