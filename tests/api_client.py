@@ -65,10 +65,11 @@ async def running(app: FastAPI) -> AsyncIterator[Api]:
 
 
 @asynccontextmanager
-async def served(app: FastAPI) -> AsyncIterator[str]:
-    """The application on a real port, in this event loop. Yields ``host:port``."""
+async def served(app: FastAPI, port: int = 0) -> AsyncIterator[str]:
+    """The application on a real port (0: a free one), in this event loop. Yields ``host:port``."""
     listener = socket.socket()
-    listener.bind(("127.0.0.1", 0))
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.bind(("127.0.0.1", port))
     host, port = listener.getsockname()
     server = uvicorn.Server(uvicorn.Config(app, log_config=None, ws="websockets-sansio", timeout_graceful_shutdown=5))
     server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign]

@@ -17,6 +17,8 @@ ROOMS: dict[str, set[str]] = {
     "service.main": {"everything"},
     "service.__main__": {"everything"},
     "service.cli": {"everything"},
+    "service.client": {"remote", "api"},
+    "service.remote": {"api"},
     "service.api": {"sessions", "exports", "errors", "settings", "metrics", "inference"},
     "service.sessions": {"workers", "store", "imaging", "inference", "attitude", "exports", "errors", "metrics"},
     "service.workers": {"inference", "imaging", "models", "gpu", "errors"},

@@ -1,0 +1,181 @@
+"""Every call of the API as data: what is sent, whether it may be sent twice, and how its answer is read."""
+
+from __future__ import annotations
+
+import io
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import httpx
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
+
+from service.api import schemas
+from service.remote.errors import RefusedError, UnexpectedError
+from service.remote.media import media_type_of
+
+T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
+Image = bytes | Path
+"""A file's bytes, or the path of a file."""
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Call(Generic[T]):
+    """One request and how to read its answer."""
+
+    method: str
+    path: str
+    read: Callable[[httpx.Response], T]
+    params: Mapping[str, Any] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict)
+    content: bytes | None = None
+    files: Mapping[str, tuple[str, bytes]] | None = None
+    form: Mapping[str, str] | None = None
+    repeatable: bool = True
+    """Whether it may be sent again when nobody knows what became of it."""
+    when_gone: Callable[[], T] | None = None
+    """The answer where a repeated call finds nothing: the first one did its work."""
+
+    def request(self, http: httpx.Client | httpx.AsyncClient) -> httpx.Request:
+        """Built anew for every attempt."""
+        return http.build_request(
+            self.method,
+            self.path,
+            params={name: value for name, value in self.params.items() if value is not None} or None,
+            headers=dict(self.headers),
+            content=self.content,
+            files=self.files,
+            data=self.form,
+        )
+
+    def refused(self, error: RefusedError, failures: int) -> T:
+        """The answer for a refusal after so many failed attempts. Raises ``error`` where there is none."""
+        if self.when_gone is None or failures == 0 or error.status != httpx.codes.NOT_FOUND:
+            raise error
+        return self.when_gone()
+
+
+def parsed(kind: type[M], data: Any) -> M:
+    """A document of the wire. Members of a newer service are passed over. Raises ``UnexpectedError``."""
+    try:
+        return kind.model_validate(data, extra="ignore")
+    except ValidationError as error:
+        raise UnexpectedError(f"the answer is no {kind.__name__}: {error}") from error
+
+
+def _json(kind: type[M]) -> Callable[[httpx.Response], M]:
+    return lambda response: parsed(kind, response.json())
+
+
+def _bytes(response: httpx.Response) -> bytes:
+    return response.content
+
+
+def _nothing(response: httpx.Response) -> None:
+    return None
+
+
+def _npz(response: httpx.Response) -> Arrays:
+    with np.load(io.BytesIO(response.content)) as arrays:
+        return dict(arrays)
+
+
+def read_image(image: Image, media_type: str | None) -> tuple[bytes, str]:
+    """Bytes and media type. Raises ``ValueError`` where the type is neither given nor told by the file's name."""
+    kind = media_type or (media_type_of(image.name) if isinstance(image, Path) else None)
+    if kind is None:
+        raise ValueError("give the media_type: the name does not tell it")
+    return (image.read_bytes() if isinstance(image, Path) else image), kind
+
+
+def upload_model(
+    file: Image, name: str | None, file_name: str | None, joints: Sequence[Mapping[str, Any]] | None
+) -> Call[schemas.Model]:
+    """Repeatable: a model is known by its content."""
+    data = file.read_bytes() if isinstance(file, Path) else file
+    title = file_name or (file.name if isinstance(file, Path) else None)
+    if title is None:
+        raise ValueError("give the file_name: its suffix tells the format")
+    form = {} if name is None else {"name": name}
+    if joints is not None:
+        form["joints"] = orjson.dumps(list(joints)).decode()
+    return Call("POST", "/v1/models", _json(schemas.Model), files={"file": (title, data)}, form=form)
+
+
+def create_session(body: Mapping[str, Any]) -> Call[schemas.Session]:
+    """Not repeatable: it would begin a second session."""
+    head = {"Content-Type": "application/json"}
+    content = orjson.dumps({name: value for name, value in body.items() if value is not None})
+    return Call("POST", "/v1/sessions", _json(schemas.Session), content=content, headers=head, repeatable=False)
+
+
+def get(kind: type[M], path: str, **params: Any) -> Call[M]:
+    """A document of the wire."""
+    return Call("GET", path, _json(kind), params)
+
+
+P = TypeVar("P", schemas.ModelList, schemas.SessionList, schemas.EstimateList)
+
+
+def page(kind: type[P], url: str, params: Mapping[str, Any]) -> Call[P]:
+    """A page of a list; its ``next`` is the next one's ``url``, without ``params``."""
+    return Call("GET", url, _json(kind), params)
+
+
+def get_bytes(path: str, **params: Any) -> Call[bytes]:
+    """A file."""
+    return Call("GET", path, _bytes, params)
+
+
+def get_particles(session_id: str, index: int | None) -> Call[Arrays]:
+    """Arrays of the weighted particles."""
+    path = f"/v1/sessions/{session_id}/particles"
+    return Call("GET", path, _npz, {"index": index}, {"Accept": "application/x-npz"})
+
+
+def delete(path: str) -> Call[None]:
+    """Repeatable: what is gone when it is sent again was deleted by the first."""
+    return Call("DELETE", path, _nothing, when_gone=lambda: None)
+
+
+def put_checkpoint(session_id: str, blob: bytes) -> Call[schemas.Session]:
+    """A session from another service."""
+    head = {"Content-Type": "application/octet-stream"}
+    return Call("PUT", f"/v1/sessions/{session_id}/checkpoint", _json(schemas.Session), content=blob, headers=head)
+
+
+def add_background(
+    session_id: str, image: Image, media_type: str | None, params: Mapping[str, Any]
+) -> Call[schemas.BackgroundResult]:
+    """Repeatable by its key."""
+    body, kind = read_image(image, media_type)
+    head = {"Content-Type": kind, "Idempotency-Key": str(uuid.uuid4())}
+    path = f"/v1/sessions/{session_id}/background"
+    return Call("POST", path, _json(schemas.BackgroundResult), params, head, body)
+
+
+def frame(
+    session_id: str,
+    image: Image,
+    media_type: str | None,
+    index: int | None,
+    key: str | None,
+    params: Mapping[str, Any],
+) -> Call[schemas.Estimate]:
+    """Repeatable by its index, or else by its key; without either a key is drawn."""
+    body, kind = read_image(image, media_type)
+    head = {"Content-Type": kind}
+    path = f"/v1/sessions/{session_id}/frames"
+    if index is None or key is not None:
+        head["Idempotency-Key"] = key or str(uuid.uuid4())
+    method, path = ("POST", path) if index is None else ("PUT", f"{path}/{index}")
+    query = {name: value.isoformat() if isinstance(value, datetime) else value for name, value in params.items()}
+    return Call(method, path, _json(schemas.Estimate), query, head, body)

@@ -1,0 +1,35 @@
+"""Media types of the files that the service reads, by their names."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+IMAGES = {
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+    ".tif": "image/tiff",
+    ".tiff": "image/tiff",
+    ".fits": "image/fits",
+    ".fit": "image/fits",
+    ".fts": "image/fits",
+    ".fz": "image/fits",
+    ".npy": "application/x-npy",
+}
+VIDEOS = {
+    ".ser": "video/x-ser",
+    ".avi": "video/x-msvideo",
+    ".mp4": "video/mp4",
+    ".mkv": "video/x-matroska",
+    ".mov": "video/quicktime",
+}
+MEDIA_TYPES = {**IMAGES, **VIDEOS}
+
+
+def media_type_of(name: str) -> str | None:
+    """Media type of a file by its name, None for one that the service does not read. ``x.fits.gz`` is FITS."""
+    path = PurePath(name.lower())
+    if path.suffix == ".gz":
+        path = path.with_suffix("")
+        return MEDIA_TYPES.get(path.suffix) if path.suffix in (".fits", ".fit", ".fts") else None
+    return MEDIA_TYPES.get(path.suffix)
