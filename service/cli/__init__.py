@@ -7,6 +7,7 @@ import typer
 from service.cli.bench import bench
 from service.cli.demo import demo
 from service.cli.doctor import doctor
+from service.cli.openapi import openapi
 from service.cli.serve import serve
 from service.cli.simulate import simulate
 from service.cli.track import track
@@ -17,6 +18,7 @@ app.command()(simulate)
 app.command()(demo)
 app.command()(track)
 app.command()(doctor)
+app.command()(openapi)
 app.add_typer(bench)
 
 
