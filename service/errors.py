@@ -19,10 +19,12 @@
     │   ├── NoBackgroundError             409  a frame before any background
     │   ├── FrameGapError                 409  a frame index that is not the next one
     │   ├── FrameConflictError            409  that index already holds other bytes
-    │   └── ModelInUseError               409  sessions still need the model
+    │   ├── ModelInUseError               409  sessions still need the model
+    │   └── BackendMissingError           409  the scorer's backend that the session names is not to be had here
     ├── BusyError                         503  try again after ``retry_after_s``
     │   ├── InboxFullError                429  this session has frames enough waiting
     │   ├── WorkerFailedError             503  the worker died or hung, also on the second try
+    │   ├── ScorerFailedError             503  the scorer's device failed during a frame
     │   ├── StorageError                  503  the database refused a write (disk full, I/O error)
     │   ├── StaleOwnerError               503  another owner has taken the session
     │   └── StoppingError                 503  the service is shutting down
@@ -165,6 +167,12 @@ class ModelInUseError(ConflictError):
     slug, title = "model-in-use", "Model in use"
 
 
+class BackendMissingError(ConflictError):
+    """The session names a backend of the scorer (`filter.backend`) that this server does not have."""
+
+    slug, title = "backend-missing", "Backend not to be had"
+
+
 class BusyError(SkyposeError):
     """Nothing was changed; try again after ``retry_after_s`` seconds (the Retry-After header)."""
 
@@ -182,6 +190,12 @@ class WorkerFailedError(BusyError):
     """The worker died or hung, also on the second try."""
 
     slug, title = "worker-failed", "Worker failed"
+
+
+class ScorerFailedError(BusyError):
+    """The scorer's device failed or ran out of memory during a frame, and no other was allowed to take over."""
+
+    slug, title = "scorer-failed", "Scorer failed"
 
 
 class StorageError(BusyError):

@@ -40,6 +40,11 @@ class FilterParams:
     """Rotations that are tried when nothing is known."""
     acquisition_moves: int = 4
     """`tempered`: least number of steps with a move when acquiring."""
+    backend: Literal["auto", "outline", "opengl", "cpu", "cpu-mt", "reference"] = "auto"
+    """What sums the map under the silhouettes. `auto`: outlines on the fastest device, on the next one where a device
+    fails. `outline`: the same on the first device, or not at all. `opengl`: drawn by OpenGL, summed by OpenCL (the
+    paper's GPU row). `cpu`, `cpu-mt`: filled on one core, on all (its other rows). `reference`: NumPy, slow. All give
+    the same sums, `opengl` but for pixels along the edge."""
 
     def __post_init__(self) -> None:
         _require(1 <= self.particles <= 10_000_000, "particles must be between 1 and 10,000,000")

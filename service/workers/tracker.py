@@ -9,11 +9,10 @@ from __future__ import annotations
 import hashlib
 import platform
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from importlib.metadata import version
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from gpu.device import find_devices
 from gpu.mesh import Mesh, MeshError, load_mesh
 from gpu.reference import silhouette_mask
-from gpu.scorer import Scorer, open_scorer
+from gpu.scorer import BACKENDS
 from service.errors import ConfigError, ImageMismatchError, MeshFileError, MissingBlobError
 from service.imaging.background import Background, Sky, derive, known_pixels, learn
 from service.imaging.decode import ByteOrder, decode_frame, decode_frames
@@ -32,7 +31,7 @@ from service.imaging.split import SplitFrame, split_frames
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
-from service.inference.state import Array, Frame, Measurement, PoseEstimate, Poses
+from service.inference.state import Frame, Measurement, PoseEstimate, Poses
 from service.inference.step import step
 from service.inference.symmetry import Symmetry
 from service.models.articulations import read_joints
@@ -51,11 +50,12 @@ from service.workers.base import (
     SmoothJob,
     SmoothReport,
 )
+from service.workers.cache import Cache
 from service.workers.observation import observe, remember
+from service.workers.scoring import Scorers, TimedScorer
 from service.workers.smoothing import belief_after, smooth_pass, with_rates
 from service.workers.splitting import SplitJob
 
-V = TypeVar("V")
 PACKAGES = (
     "skypose",
     "numpy",
@@ -68,37 +68,13 @@ PACKAGES = (
 )
 
 
-class Cache(Generic[V]):
-    """The last few values by content key; what leaves is released."""
-
-    def __init__(self, size: int, release: Callable[[V], None] = lambda value: None) -> None:
-        self._values: OrderedDict[str, V] = OrderedDict()
-        self._size, self._release = size, release
-
-    def get(self, key: str, make: Callable[[], V]) -> V:
-        """The value of ``key``, made when it is not there."""
-        if key not in self._values:
-            value = make()
-            self._values[key] = value
-            if len(self._values) > self._size:
-                self._release(self._values.popitem(last=False)[1])
-        self._values.move_to_end(key)
-        return self._values[key]
-
-    def clear(self) -> None:
-        """Release everything."""
-        for value in self._values.values():
-            self._release(value)
-        self._values.clear()
-
-
 class Tracker:
     """Implements ``service.workers.base.Worker``."""
 
-    def __init__(self, *, backend: str = "auto", max_pixels: int = 1 << 26, cached_models: int = 8) -> None:
-        self._backend, self._max_pixels = backend, max_pixels
+    def __init__(self, *, max_pixels: int = 1 << 26, cached_models: int = 8) -> None:
+        self._max_pixels = max_pixels
         self._meshes: Cache[Mesh] = Cache(cached_models)
-        self._scorers: Cache[Scorer] = Cache(cached_models, lambda scorer: scorer.close())
+        self._scorers = Scorers(cached_models)
         self._skies: Cache[Sky] = Cache(cached_models)
         self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
 
@@ -158,22 +134,17 @@ class Tracker:
         measured = time.perf_counter()
         articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
         mesh = self._mesh(job.model, job.file_type, job.blobs)
-        scorer = self._scorers.get(job.model, lambda: open_scorer(mesh, backend=self._backend))
-        timed = TimedScorer(scorer, articulation)
         height, width = image.image.shape[:2]
         domain = Domain(width, height, mesh.radius, articulation, job.config.prior)
         twins = self._twins.get(
             f"{job.model}:{articulation}", lambda: held_symmetries(job.twins, job.articulation, articulation)
         )
-        state, estimate = step(
-            np.random.Generator(np.random.Philox(key=np.array([job.config.filter.seed, job.frame_index], np.uint64))),
-            job.state,
-            Frame(job.frame_index, job.time_s, Measurement(maps.log_ratio, maps.log_background)),
-            timed,
-            job.config,
-            domain,
-            twins,
-        )
+        frame = Frame(job.frame_index, job.time_s, Measurement(maps.log_ratio, maps.log_background))
+        stream = np.array([job.config.filter.seed, job.frame_index], np.uint64)
+        with self._scorers.lend(job.model, job.config.filter.backend, mesh) as scorer:
+            timed, rng = TimedScorer(scorer, articulation), np.random.Generator(np.random.Philox(key=stream))
+            state, estimate = step(rng, job.state, frame, timed, job.config, domain, twins)
+            scored_by = scorer.name
         best = estimate.best
         kept = remember(
             observation,
@@ -193,7 +164,7 @@ class Tracker:
             "step": done - measured,
             "total": done - began,
         }
-        return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scorer.name, belief)
+        return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scored_by, belief)
 
     def overlay(self, job: OverlayJob) -> bytes:
         """PNG of the frame with the silhouette in blue, or of the frame alone."""
@@ -215,16 +186,17 @@ class Tracker:
         return smooth_pass(job)
 
     def describe(self) -> Mapping[str, Any]:
-        """Devices, scorer backend and versions."""
+        """Devices, backends of the scorer and versions."""
         return {
-            "backend": self._backend,
+            "backend": "auto",  # of sessions that name none
+            "backends": list(BACKENDS),
             "devices": [asdict(report) for report in find_devices()],
             "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         }
 
     def close(self) -> None:
         """Release the device."""
-        self._scorers.clear()
+        self._scorers.close()
         self._meshes.clear()
         self._skies.clear()
         self._twins.clear()
@@ -234,22 +206,6 @@ class Tracker:
 
     def _mesh(self, key: str, file_type: str, blobs: Mapping[str, bytes]) -> Mesh:
         return self._meshes.get(key, lambda: _load(_blob(blobs, key), file_type))
-
-
-class TimedScorer:
-    """``score_maps`` of ``inference.step`` over a scorer, with the time it took."""
-
-    def __init__(self, scorer: Scorer, articulation: Articulation) -> None:
-        self._scorer, self._articulation = scorer, articulation
-        self.seconds = 0.0
-
-    def __call__(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
-        """(N poses, (K, H, W) maps) -> (N, K)."""
-        transforms = part_transforms(self._articulation, poses)
-        began = time.perf_counter()
-        scores = self._scorer.score_many(transforms, maps)
-        self.seconds += time.perf_counter() - began
-        return scores
 
 
 def draw_silhouette(

@@ -1,0 +1,77 @@
+"""A session's scorer: one per model and backend, the time it takes, and its failures in the service's own words."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpu.errors import DeviceError, DeviceLostError, ImageSizeError, ScorerError
+from gpu.mesh import Mesh
+from gpu.scorer import Scorer, open_scorer
+from service.errors import BackendMissingError, ScorerFailedError, TooLargeError
+from service.inference.articulation import Articulation, part_transforms
+from service.inference.state import Array, Poses
+from service.workers.cache import Cache
+
+TRANSFORMS_BYTES = 16 << 20  # of one call's transforms, so that a million particles need no gigabyte for theirs
+TRANSFORM_BYTES = 48  # of one part
+
+
+class Scorers:
+    """Open scorers by model and backend. Owned, used and closed by one thread."""
+
+    def __init__(self, size: int) -> None:
+        self._kept: Cache[Scorer] = Cache(size, lambda scorer: scorer.close())
+
+    @contextmanager
+    def lend(self, model: str, backend: str, mesh: Mesh) -> Iterator[Scorer]:
+        """The scorer of a model. One that fails is not lent again: the next frame opens another.
+
+        Raises ``BackendMissingError`` where this machine does not have the backend, ``ScorerFailedError`` where it
+        failed during the frame, ``TooLargeError`` where the image is larger than it can take.
+        """
+        key = f"{model}:{backend}"
+        try:
+            scorer = self._kept.get(key, lambda: open_scorer(mesh, backend=backend))
+        except DeviceError as error:
+            raise BackendMissingError(str(error), field="filter.backend", backend=backend) from error
+        try:
+            yield scorer
+        except ImageSizeError as error:
+            raise TooLargeError(str(error), field="body", limit=error.limit) from error
+        except ScorerError as error:
+            if isinstance(error, DeviceLostError):
+                self._kept.forget(key)
+            hint = "" if backend == "auto" else "; a session whose filter.backend is auto would go on with another"
+            raise ScorerFailedError(f"{error}{hint}", backend=backend) from error
+
+    def close(self) -> None:
+        """Release every device."""
+        self._kept.clear()
+
+
+class TimedScorer:
+    """``score_maps`` of ``inference.step`` over a scorer, with the time it took."""
+
+    def __init__(self, scorer: Scorer, articulation: Articulation) -> None:
+        self._scorer, self._articulation = scorer, articulation
+        self._batch = max(1, TRANSFORMS_BYTES // (TRANSFORM_BYTES * max(1, len(articulation.parts))))
+        self.seconds = 0.0
+
+    def __call__(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
+        """(N poses, (K, H, W) maps) -> (N, K)."""
+        if len(poses) <= self._batch:
+            return self._score(poses, maps)
+        starts = range(0, len(poses), self._batch)
+        return np.concatenate([self._score(poses[slice(k, k + self._batch)], maps) for k in starts])
+
+    def _score(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
+        transforms = part_transforms(self._articulation, poses)
+        began = time.perf_counter()
+        scores = self._scorer.score_many(transforms, maps)
+        self.seconds += time.perf_counter() - began
+        return scores

@@ -1,0 +1,160 @@
+"""A session's scorer by name: the same answers from each, who scored, and what a failing device does to a frame."""
+
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+import gpu.device
+import gpu.scorer
+from gpu.mesh import load_mesh
+from gpu.outline import OutlineScorer
+from gpu.scorer import BACKENDS
+from service.errors import BackendMissingError, ScorerFailedError, TooLargeError
+from service.inference.params import FilterParams, JointParams, SessionConfig
+from service.simulate.folder import encode_png
+from service.simulate.motion import Motion
+from service.simulate.satellite import demo_satellite
+from service.simulate.scenario import Scenario
+from service.simulate.sequence import SimulatedPass
+from service.workers.base import BackgroundJob, FrameJob, ModelJob
+from service.workers.tracker import Tracker, content_key
+
+FRAMES = 3
+SIZE = (64, 64)
+PREFIX = {"outline": "opencl:outline:", "opengl": "opengl:", "cpu": "opencl:fill:1 of", "cpu-mt": "opencl:fill:"}
+
+
+class DemoPass:
+    """A few frames of the bundled satellite, as jobs."""
+
+    def __init__(self) -> None:
+        tracker = Tracker()
+        self.report = tracker.prepare_model(ModelJob(demo_satellite(), "glb"))
+        scenario = Scenario("", size=SIZE, seed=4, motion=Motion(frames=FRAMES))
+        simulated = SimulatedPass(load_mesh(demo_satellite(), "glb"), self.report.articulation, scenario)
+        learned = None
+        for image in simulated.backgrounds():
+            learned = tracker.learn_background(BackgroundJob(SessionConfig(), encode_png(image), "image/png", learned))
+            learned = learned.background
+        tracker.close()
+        self.blobs = {content_key(data): data for data in (demo_satellite(), learned)}
+        self.frames = [encode_png(image) for image in simulated.frames()]
+
+    def job(self, backend, index=0, state=None, **choices):
+        choices = {"particles": 100, "acquisition_particles": 200, "method": "bootstrap", **choices}
+        config = SessionConfig(FilterParams(backend=backend, **choices), joints=JointParams(free="all"))
+        model, background = self.blobs
+        where = config, model, "glb", self.report.articulation, background, state, index, 0.1 * index
+        return FrameJob(*where, self.frames[index], "image/png", self.blobs, self.report.twins)
+
+    def track(self, tracker, backend, **choices):
+        """The last frame's report, and who scored."""
+        report, names = None, set()
+        for index in range(FRAMES):
+            state = None if report is None else report.state
+            report = tracker.track(self.job(backend, index, state, **choices))
+            names.add(report.scorer)
+        return report, names
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return DemoPass()
+
+
+@pytest.fixture
+def tracker():
+    tracker = Tracker()
+    yield tracker
+    tracker.close()
+
+
+@pytest.fixture
+def device():
+    usable = [report for report in gpu.device.find_devices() if report.rejected is None]
+    if not usable:
+        pytest.skip("no OpenCL device answers")
+    return usable[0]
+
+
+class Failing(OutlineScorer):
+    """An outline scorer whose device fails for good in the second batch of the first frame."""
+
+    calls = 0
+
+    def _score(self, transforms, prefix):
+        Failing.calls += 1
+        if Failing.calls > 1:
+            raise cl.RuntimeError("clEnqueueReadBuffer failed: DEVICE_NOT_AVAILABLE")
+        return super()._score(transforms, prefix)
+
+
+@pytest.fixture
+def failing(monkeypatch, device):
+    Failing.calls = 0
+    monkeypatch.setattr(gpu.scorer, "OutlineScorer", Failing)
+    monkeypatch.setattr("gpu.outline.batches", lambda device, n, each: (slice(k, k + 40) for k in range(0, n, 40)))
+
+
+def same_bits(a, b):
+    one, other = a.state, b.state
+    pairs = [(one.poses.quaternion, other.poses.quaternion), (one.log_weights, other.log_weights)]
+    return all(np.array_equal(x, y) for x, y in pairs) and a.estimate.log_evidence == b.estimate.log_evidence
+
+
+def test_every_backend_tracks_alike_in_one_worker(demo, tracker, device):
+    expected, names = demo.track(tracker, "reference")
+    assert names == {"numpy:reference"}
+    for backend in ("outline", "cpu", "cpu-mt", "auto"):
+        report, names = demo.track(tracker, backend)
+        assert same_bits(report, expected), backend
+        assert all(name.startswith(PREFIX.get(backend, "opencl:")) for name in names)
+
+
+def test_opengl_tracks_nearly_alike(demo, tracker, device):
+    try:
+        report, names = demo.track(tracker, "opengl", method="importance")
+    except BackendMissingError as error:
+        pytest.skip(error.detail)
+    expected, _ = demo.track(tracker, "outline", method="importance")
+    assert all(name.startswith(PREFIX["opengl"]) for name in names)
+    ours, theirs = report.estimate.best, expected.estimate.best
+    assert np.linalg.norm(ours.position - theirs.position) < 0.02 * SIZE[0]
+    assert ours.scale == pytest.approx(theirs.scale, rel=0.05)
+
+
+def test_the_configuration_offers_what_the_scorer_does():
+    assert get_args(get_type_hints(FilterParams)["backend"]) == BACKENDS
+
+
+def test_auto_loses_no_frame_with_its_device(demo, tracker, failing):
+    expected = demo.track(tracker, "reference")[0]
+    with pytest.warns(RuntimeWarning, match="DEVICE_NOT_AVAILABLE; going on with numpy:reference"):
+        report, names = demo.track(tracker, "auto")
+    assert names == {"numpy:reference"}
+    assert same_bits(report, expected)
+
+
+def test_a_named_backend_that_fails_is_an_error_and_the_next_frame_opens_another(demo, tracker, failing, monkeypatch):
+    with pytest.raises(ScorerFailedError, match=r"outline.*DEVICE_NOT_AVAILABLE; .* auto would go on") as caught:
+        tracker.track(demo.job("outline"))
+    assert caught.value.facts == {"backend": "outline"}
+    monkeypatch.setattr(gpu.scorer, "OutlineScorer", OutlineScorer)  # the device is back
+    assert tracker.track(demo.job("outline")).scorer.startswith("opencl:outline:")
+
+
+def test_a_named_backend_without_a_device_is_refused(demo, tracker, monkeypatch):
+    monkeypatch.setattr(gpu.scorer, "find_devices", lambda: ())
+    monkeypatch.setattr(gpu.device, "find_devices", lambda: ())
+    with pytest.raises(BackendMissingError, match="'opengl' has no device") as caught:
+        tracker.track(demo.job("opengl"))
+    assert caught.value.field == "filter.backend"
+
+
+def test_an_image_larger_than_the_scorer_takes_says_the_limit(demo, tracker, device, monkeypatch):
+    monkeypatch.setattr("gpu.outline.LARGEST_SIDE", SIZE[0] - 1)
+    with pytest.raises(TooLargeError) as caught:
+        tracker.track(demo.job("auto"))
+    assert caught.value.facts == {"limit": SIZE[0] - 1}
