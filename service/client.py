@@ -155,6 +155,10 @@ class Client:
         """
         return self._connection.track(calls.frame(session_id, file, media_type, index, key, facts))
 
+    def frame_by_key(self, session_id: str, key: str) -> schemas.Estimate | None:
+        """The estimate of the frame that was posted with this key; None where there is none (yet)."""
+        return self.call(calls.frame_by_key(session_id, key))
+
     def estimate(self, session_id: str, index: int | None = None) -> schemas.Estimate:
         """The estimate of one frame, the newest by default."""
         return self.call(

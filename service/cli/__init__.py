@@ -7,6 +7,8 @@ import typer
 from service.cli.bench import bench
 from service.cli.demo import demo
 from service.cli.doctor import doctor
+from service.cli.export import export
+from service.cli.ingest import ingest
 from service.cli.openapi import openapi
 from service.cli.serve import serve
 from service.cli.simulate import simulate
@@ -18,6 +20,8 @@ app.command()(simulate)
 app.command()(demo)
 app.command()(track)
 app.command()(doctor)
+app.command()(ingest)
+app.command()(export)
 app.command()(openapi)
 app.add_typer(bench)
 

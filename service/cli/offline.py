@@ -37,6 +37,35 @@ _COLUMNS = (
 
 
 @dataclass(frozen=True)
+class PassSummary:
+    """How a pass went."""
+
+    statuses: Mapping[str, int]  # frames of each
+    seconds: float
+    out: Path
+
+    @property
+    def frames(self) -> int:
+        """All frames."""
+        return sum(self.statuses.values())
+
+    @property
+    def frames_per_s(self) -> float:
+        """Decoding and tracking together."""
+        return self.frames / self.seconds if self.seconds > 0 else 0.0
+
+    def line(self) -> str:
+        """For people."""
+        shares = ", ".join(f"{count} {name}" for name, count in self.statuses.items())
+        return f"{self.frames} frames ({shares}), {self.frames_per_s:.1f} per second: {self.out}"
+
+    def document(self) -> dict[str, Any]:
+        """For ``--json``."""
+        head = {"frames": self.frames, "statuses": dict(self.statuses), "seconds": round(self.seconds, 3)}
+        return {**head, "frames_per_s": round(self.frames_per_s, 2), "out": str(self.out)}
+
+
+@dataclass(frozen=True)
 class Sky:
     """Where the background is learned: empty images, or what the first frame shows outside a box or at its border."""
 
@@ -65,8 +94,8 @@ class OfflinePass:
     ) -> None:
         self._tracker.close()
 
-    def run(self, frames: ImageSource, sky: Sky, out: Path, interval_s: float | None, console: Console) -> str:
-        """Learn the sky, track every frame, write the answers; returns a line that says how it went."""
+    def run(self, frames: ImageSource, sky: Sky, out: Path, interval_s: float | None, console: Console) -> PassSummary:
+        """Learn the sky, track every frame, write the answers; returns how it went."""
         for warning in self._warnings:
             console.print(f"[yellow]{warning}[/yellow]")
         out.mkdir(parents=True, exist_ok=True)
@@ -99,7 +128,7 @@ class OfflinePass:
         sheet = [self._sheet_row(k, image, report) for k, (image, report) in sorted(rows.items())]
         title = f"{self._model.name}: {frames.path}"
         (out / "contact_sheet.png").write_bytes(encode_png(contact_sheet(title, sheet)))
-        return _summary(statuses, seconds, out)
+        return PassSummary({name: statuses.count(name) for name in dict.fromkeys(statuses)}, seconds, out)
 
     def _learn(self, sky: Sky, frames: ImageSource) -> str:
         """Key of the learned background among the blobs."""
@@ -166,10 +195,3 @@ def _csv_row(index: int, time_s: float, name: str, report: FrameReport) -> list[
 def _progress(console: Console) -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, TextColumn("{task.fields[status]}"), console=console)
-
-
-def _summary(statuses: Sequence[str], seconds: float, out: Path) -> str:
-    counts = {name: statuses.count(name) for name in dict.fromkeys(statuses)}
-    shares = ", ".join(f"{count} {name}" for name, count in counts.items())
-    rate = len(statuses) / seconds if seconds > 0 else 0.0
-    return f"{len(statuses)} frames ({shares}), {rate:.1f} per second: {out}"

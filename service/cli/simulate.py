@@ -24,6 +24,7 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same images.")] = 0,
     joints: Annotated[str | None, typer.Option(help="Joints that move: all, none, or A,B.")] = None,
     random: Annotated[int, typer.Option(min=0, help="So many passes drawn at random, each in a folder.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON about each pass.")] = False,
 ) -> None:
     """Make a simulated pass: background and frames as PNG, truth.csv, case.json and the mesh."""
     from service.cli.model_file import read_model_file
@@ -35,7 +36,7 @@ def simulate(
     if random:
         for k in range(random):
             scenario = randomised(pass_seed(seed, k), size=wanted or (256, 256), frames=frames or 40)
-            _write(models[k % len(models)], scenario, out / f"pass_{k:03d}", joints)
+            _write(models[k % len(models)], scenario, out / f"pass_{k:03d}", joints, as_json)
         return
     if preset not in PRESETS:
         raise typer.BadParameter(f"{preset!r} is none of {', '.join(PRESETS)}", param_hint="--preset")
@@ -45,7 +46,7 @@ def simulate(
     scenario = replace(scenario, size=wanted or scenario.size)
     if frames is not None:
         scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
-    _write(models[0], scenario, out, joints)
+    _write(models[0], scenario, out, joints, as_json)
 
 
 def pass_seed(seed: int, number: int) -> int:
@@ -53,17 +54,19 @@ def pass_seed(seed: int, number: int) -> int:
     return seed * _SEED_STRIDE + number
 
 
-def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | None) -> None:
+def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | None, as_json: bool) -> None:
+    import orjson
+    from rich.console import Console
     from rich.progress import Progress
 
     from service.cli.options import choose_joints
-    from service.simulate.folder import write_sequence
+    from service.simulate.folder import describe, write_sequence
     from service.simulate.sequence import SimulatedPass
 
     moving = choose_joints(joints, tuple(joint.name for joint in model.articulation.joints))
     scenario = replace(scenario, motion=replace(scenario.motion, joints=moving))
     simulated = SimulatedPass(model.mesh, model.articulation, scenario)
-    with Progress() as progress:
+    with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(str(folder), total=None)
         write_sequence(
             simulated,
@@ -72,3 +75,5 @@ def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | Non
             model.data,
             lambda done, total: progress.update(task, completed=done, total=total),
         )
+    if as_json:
+        typer.echo(orjson.dumps({"out": str(folder), **describe(simulated, folder.name, model.name)}))

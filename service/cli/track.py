@@ -21,8 +21,10 @@ def track(
     particles: Annotated[int | None, typer.Option(min=1, help="Number of particles.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Same seed, same estimates.")] = None,
     interval: Annotated[float | None, typer.Option(min=1e-6, help="Seconds between frames.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print how it went as JSON.")] = False,
 ) -> None:
     """Track an object through images: writes estimates.csv, estimates.jsonl and contact_sheet.png."""
+    import orjson
     from rich.console import Console
 
     from service.cli.images import open_images
@@ -52,4 +54,7 @@ def track(
     except SkyposeError as error:
         console.print(f"[red]{error}[/red]")
         raise typer.Exit(1) from error
-    console.print(summary)
+    if as_json:
+        typer.echo(orjson.dumps(summary.document()))
+    else:
+        console.print(summary.line())

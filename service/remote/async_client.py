@@ -147,6 +147,10 @@ class AsyncClient:
         """
         return self._connection.track(calls.frame(session_id, file, media_type, index, key, facts))
 
+    async def frame_by_key(self, session_id: str, key: str) -> schemas.Estimate | None:
+        """The estimate of the frame that was posted with this key; None where there is none (yet)."""
+        return await self.call(calls.frame_by_key(session_id, key))
+
     async def estimate(self, session_id: str, index: int | None = None) -> schemas.Estimate:
         """The estimate of one frame, the newest by default."""
         return await self.call(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
+from urllib.parse import quote
 
 import httpx
 import numpy as np
@@ -43,6 +44,8 @@ class Call(Generic[T]):
     """Whether it may be sent again when nobody knows what became of it."""
     when_gone: Callable[[], T] | None = None
     """The answer where a repeated call finds nothing: the first one did its work."""
+    when_missing: Callable[[], T] | None = None
+    """The answer where any call finds nothing."""
 
     def request(self, http: httpx.Client | httpx.AsyncClient) -> httpx.Request:
         """Built anew for every attempt."""
@@ -58,9 +61,10 @@ class Call(Generic[T]):
 
     def refused(self, error: RefusedError, failures: int) -> T:
         """The answer for a refusal after so many failed attempts. Raises ``error`` where there is none."""
-        if self.when_gone is None or failures == 0 or error.status != httpx.codes.NOT_FOUND:
+        otherwise = self.when_missing or (self.when_gone if failures else None)
+        if otherwise is None or error.status != httpx.codes.NOT_FOUND:
             raise error
-        return self.when_gone()
+        return otherwise()
 
 
 def parsed(kind: type[M], data: Any) -> M:
@@ -133,6 +137,17 @@ def page(kind: type[P], url: str, params: Mapping[str, Any]) -> Call[P]:
 def get_bytes(path: str, **params: Any) -> Call[bytes]:
     """A file."""
     return Call("GET", path, _bytes, params)
+
+
+def frame_by_key(session_id: str, key: str) -> Call[schemas.Estimate | None]:
+    """What became of a frame; under way counts as not there."""
+    read = _json(schemas.Estimate)
+    return Call(
+        "GET",
+        f"/v1/sessions/{session_id}/frames/by-key/{quote(key, safe='')}",
+        lambda response: None if response.status_code == httpx.codes.ACCEPTED else read(response),
+        when_missing=lambda: None,
+    )
 
 
 def get_particles(session_id: str, index: int | None) -> Call[Arrays]:

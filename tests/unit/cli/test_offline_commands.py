@@ -20,9 +20,10 @@ RUNNER = CliRunner()
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("pass")
-    arguments = ["simulate", "--out", str(out), "--frames", "3", "--size", "96x96", "--preset", "demo"]
+    arguments = ["simulate", "--out", str(out), "--frames", "3", "--size", "96x96", "--preset", "demo", "--json"]
     result = RUNNER.invoke(app, arguments)
     assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["frames"] == 3
     return out
 
 
@@ -43,9 +44,21 @@ def test_random_passes_go_round_the_meshes(folder, tmp_path):
 
 def test_track_writes_estimates_and_a_sheet(folder, tmp_path):
     arguments = ["track", "--mesh", "demo", "--background", str(folder / "background")]
-    arguments += ["--frames", str(folder / "frames"), "--out", str(tmp_path), "--preset", "paper", "--particles", "50"]
+    arguments += [
+        "--frames",
+        str(folder / "frames"),
+        "--out",
+        str(tmp_path),
+        "--preset",
+        "paper",
+        "--particles",
+        "50",
+        "--json",
+    ]
     result = RUNNER.invoke(app, arguments)
     assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert (told["frames"], sum(told["statuses"].values()), told["out"]) == (3, 3, str(tmp_path))
     with (tmp_path / "estimates.csv").open() as file:
         rows = list(csv.DictReader(file))
     lines = [json.loads(line) for line in (tmp_path / "estimates.jsonl").read_text().splitlines()]

@@ -1,0 +1,31 @@
+"""Options of the commands that talk to a running service."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from service.client import Client
+
+DEFAULT_URL = "http://127.0.0.1:8000"
+Url = Annotated[str, typer.Option(envvar="SKYPOSE_URL", help="Address of the service.")]
+Key = Annotated[str | None, typer.Option(envvar="SKYPOSE_API_KEY", help="API key, where the service asks for one.")]
+
+
+@contextmanager
+def connected(url: str, key: str | None) -> Iterator[Client]:
+    """A client of the service. What goes wrong is told in a line, with exit status 1."""
+    import httpx
+
+    from service.client import Client, ClientError
+
+    try:
+        with Client(url, api_key=key) as client:
+            yield client
+    except (ClientError, httpx.TransportError) as error:
+        typer.secho(f"{url}: {str(error) or type(error).__name__}", fg="red", err=True)
+        raise typer.Exit(1) from error

@@ -1,0 +1,142 @@
+"""``skypose ingest`` and ``skypose export`` against a running service."""
+
+import csv
+import io
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from api_client import image
+from fake_worker import CUBE
+from server_process import Server
+from typer.testing import CliRunner
+
+from service.cli import app as command
+from service.cli.ingest_files import FilePoster
+from service.client import Client
+
+
+class Desk:
+    """A folder that a camera fills, and the command on it."""
+
+    def __init__(self, root: Path, url: str) -> None:
+        self.root, self.url = root, url
+        self.frames = root / "frames"
+        self.frames.mkdir()
+        (root / "sat.glb").write_bytes(CUBE + b"joint")
+        (root / "sky.png").write_bytes(image())
+        (root / "config.json").write_text(json.dumps({"camera": {"up_angle_deg": 5.0}, "joints": {"free": ["panel"]}}))
+
+    def put(self, name: str, body: bytes) -> None:
+        path = self.frames / name
+        path.write_bytes(body)
+        os.utime(path, (1e9, 1e9))  # complete long ago
+
+    def run(self, *arguments: str):
+        return CliRunner().invoke(command, [*arguments, "--url", self.url])
+
+    def ingest(self, *more: str):
+        begin = ["--mesh", str(self.root / "sat.glb"), "--background", str(self.root / "sky.png"), "--name", "dome"]
+        config = ["--config", str(self.root / "config.json")]
+        return self.run("ingest", "--watch", str(self.frames), "--once", "--json", *begin, *config, *more)
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    server = Server(tmp_path_factory.mktemp("ingest") / "data", worker="fake_worker:FakeWorker")
+    server.start()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def desk(server, tmp_path) -> Iterator[Desk]:
+    yield Desk(tmp_path, server.url)
+    for session in httpx.get(f"{server.url}/v1/sessions").json()["sessions"]:
+        httpx.delete(f"{server.url}/v1/sessions/{session['session_id']}")
+
+
+def estimates(result) -> list[dict]:
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def stack(count: int) -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.random.default_rng(5).integers(0, 255, (count, 16, 16), dtype=np.uint8))
+    return file.getvalue()
+
+
+def session_of(desk: Desk) -> dict:
+    (session,) = httpx.get(f"{desk.url}/v1/sessions").json()["sessions"]
+    return session
+
+
+def test_a_folder_is_tracked_once_however_often_it_is_read(desk):
+    for n in range(2):
+        desk.put(f"f{n}.png", image(n))
+    first = desk.ingest()
+    assert (first.exit_code, [e["index"] for e in estimates(first)]) == (0, [0, 1]), first.output
+    desk.put("f2.npy", stack(3))
+    desk.put("f3.png", image(3))
+    second = desk.ingest()
+    assert [e["index"] for e in estimates(second)] == [2, 3, 4, 5]
+    assert "4 frames tracked" in second.stderr
+    third = desk.ingest()
+    assert estimates(third) == []
+    session = session_of(desk)
+    assert (session["frames"], session["name"], session["joints"]["free"]) == (6, "dome", ["panel"])
+
+
+def test_a_file_that_was_cut_off_in_the_middle_goes_on_there(desk):
+    desk.put("f0.png", image(0))
+    desk.ingest()
+    desk.put("f1.npy", stack(4))
+    with Client(desk.url) as client:
+        poster = FilePoster(client, session_of(desk)["session_id"], file_times=False)
+        begun = poster.post(desk.frames / "f1.npy", lambda path, error: pytest.fail(f"{path}: {error}"))
+        assert next(begun).index == 1
+        begun.close()
+    told = estimates(desk.ingest())
+    assert [e["index"] for e in told] == [1, 2, 3, 4] and told[0]["duplicate"]
+    assert session_of(desk)["frames"] == 5
+
+
+def test_a_lost_note_and_a_broken_file(desk):
+    desk.put("f0.png", image(0))
+    desk.put("f1.png", image(1)[:40])
+    desk.put("f2.png", image(2))
+    result = desk.ingest()
+    assert (result.exit_code, [e["index"] for e in estimates(result)]) == (1, [0, 1])
+    assert "f1.png: " in result.stderr and "1 files refused" in result.stderr
+    (desk.frames / ".skypose-ingest.json").unlink()
+    session = session_of(desk)
+    desk.put("f1.png", image(1))
+    result = desk.ingest("--session", session["session_id"], "--file-times")
+    assert [(e["index"], e["time"]) for e in estimates(result)] == [(2, "2001-09-09T01:46:40.000Z")]
+
+
+def test_what_a_new_session_needs_is_said(desk):
+    desk.put("f0.png", image(0))
+    watch = ("ingest", "--watch", str(desk.frames), "--once")
+    assert "--mesh" in (desk.run(*watch)).stderr
+    mesh = ("--mesh", str(desk.root / "sat.glb"))
+    assert "--border" in (desk.run(*watch, *mesh)).stderr
+    unknown = desk.run(*watch, "--session", "x")
+    assert (unknown.exit_code, "not-found" in unknown.stderr) == (1, True)
+
+
+def test_export_writes_what_the_service_answers(desk):
+    desk.put("f0.png", image(0))
+    desk.ingest()
+    session = session_of(desk)
+    result = desk.run("export", session["session_id"])
+    assert [row["index"] for row in csv.DictReader(io.StringIO(result.stdout))] == ["0"]
+    refused = desk.run("export", session["session_id"], "--format", "aem")
+    assert (refused.exit_code, "409" in refused.stderr) == (1, True)
+    out = desk.root / "track.npz"
+    done = desk.run("export", session["session_id"], "--format", "npz", "--out", str(out))
+    assert done.exit_code == 0 and np.load(out)["index"].tolist() == [0]
