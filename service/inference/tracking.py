@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from service.inference.acquisition import Evidence, find_evidence, place
 from service.inference.domain import Domain
-from service.inference.islands import Islands, refine
 from service.inference.metropolis import follow_by_moves, strew
 from service.inference.mixture import Component, Draws, component, join, posterior
-from service.inference.modes import cluster, distance, short_way
+from service.inference.modes import cluster, distance
 from service.inference.motion import carry_on
 from service.inference.params import SessionConfig
-from service.inference.pose import local, retract
+from service.inference.peak import likeliest_twin, sharpen
+from service.inference.pose import retract
 from service.inference.resample import RESAMPLERS
 from service.inference.search import island_components, log_occam, search_islands, search_reach
 from service.inference.state import FilterState, Frame, Outcome, Poses
@@ -32,7 +32,6 @@ RENEW_FRAMES = 10  # a track is held against a search of the whole space this of
 MOST_MODES = 8
 LEAST_MODE = 1e-4  # a mode that holds less is not followed
 NEWCOMER = 0.01  # prior weight of what a renewed search finds beside a track
-SHARPEN_ROUNDS, SHARPEN_DRAWS = 8, 24
 
 
 def track(
@@ -61,7 +60,7 @@ def track(
     renew = known and float(update.recall("age", 0.0)) % RENEW_FRAMES == 0
     if draws is None or not established or renew or not supported(update, draws):
         glance = draws is not None and established and supported(update, draws)
-        draws = search(update, evidence, draws, glance)
+        draws = likeliest_twin(update, search(update, evidence, draws, glance))
     if float(np.max(draws.log_likelihood)) <= 0.0:
         return unseen(update)
     return conclude(update, draws)
@@ -158,20 +157,6 @@ def supported(update: Update, draws: Draws) -> bool:
 def support(update: Update, draws: Draws) -> float:
     """Share of the frame's light that the best silhouette explains, less what it covers in vain."""
     return float(np.max(draws.log_likelihood)) / max(update.light, 1e-9)
-
-
-def sharpen(update: Update, draws: Draws) -> tuple[Poses, float]:
-    """The pose of highest likelihood near the best particle: a cross-entropy search from there."""
-    top = int(np.argmax(draws.log_likelihood))
-    best = draws.poses[top : top + 1]
-    near = np.flatnonzero(distance(draws.poses, best, update.metric) <= 1.0)
-    weights = np.exp(normalise(draws.log_weights[near])[0])
-    x = short_way(local(best, draws.poses[near]), update.metric)
-    x = x - weights @ x
-    covariance = 0.25 * np.einsum("n,ni,nj->ij", weights, x, x) + 1e-8 * np.eye(x.shape[1])
-    start = Islands(best, draws.log_likelihood[top : top + 1], best, covariance[None])
-    sharp = refine(update.rng, start, update.score, update.domain.contains, SHARPEN_ROUNDS, SHARPEN_DRAWS)
-    return update.domain.wrap(sharp.best), float(sharp.log_likelihood[0])
 
 
 def unseen(update: Update) -> Outcome:
