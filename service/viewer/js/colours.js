@@ -1,0 +1,10 @@
+// One colour per mode, by rank: the same in outlines, cloud, list and plots.
+export const MODES = ["#4da3ff", "#ffb454", "#c792ea", "#5ad4a6", "#ff7a90", "#9fb0c3"];
+export const modeColour = (rank) => MODES[Math.min(rank, MODES.length - 1)];
+
+export const STATUS = {
+  tracking: { colour: "#5ad4a6", says: "Tracking" },
+  acquiring: { colour: "#ffb454", says: "Acquiring" },
+  lost: { colour: "#ff7a90", says: "Lost" },
+  no_target: { colour: "#7c8b9d", says: "No target" },
+};

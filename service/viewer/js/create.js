@@ -1,0 +1,197 @@
+// The dialog of a new track: files in, a model, empty sky, moving parts; then everything is sent.
+import { ACCEPT_MESH, describe, dropped, isVideo, sort } from "./intake.js";
+import { problemText } from "./notices.js";
+import { element } from "./readout.js";
+
+const DEFAULT_FIRST = 5, MANY_JOINTS = 6;
+
+export class CreateDialog {
+  // `start(plan)` sends it
+  constructor(dialog, api, start) {
+    Object.assign(this, { dialog, api, start });
+    this.form = dialog.querySelector("form");
+    this.fields = this.form.elements;
+    this.problem = dialog.querySelector(".problem");
+    this.fields.mesh.accept = ACCEPT_MESH;
+    this.fields.folder.addEventListener("change", () => this.take(this.fields.folder.files));
+    this.fields.files.addEventListener("change", () => this.take(this.fields.files.files));
+    this.fields.mesh.addEventListener("change", () => this.takeMesh(this.fields.mesh.files[0]));
+    this.fields.model.addEventListener("change", () => this.showModel());
+    this.form.addEventListener("input", () => this.refresh());
+    this.form.addEventListener("submit", (event) => { event.preventDefault(); this.submit(); });
+    dialog.querySelector(".close").addEventListener("click", () => dialog.close());
+    this.acceptDrops();
+    this.clear();
+  }
+
+  clear() {
+    this.form.reset();
+    this.found = { sky: [], frames: [], ignored: 0 };
+    this.models = [];
+    this.tell(null);
+    this.refresh();
+  }
+
+  async open() {
+    if (this.dialog.open) return;
+    this.dialog.showModal();
+    try {
+      this.models = (await this.api.json("/v1/models?limit=200")).models.reverse();
+    } catch (error) {
+      this.tell(error);
+    }
+    this.listModels(this.fields.model.value);
+  }
+
+  // Anywhere on the page: files that are dropped open the dialog.
+  acceptDrops() {
+    addEventListener("dragover", (event) => {
+      event.preventDefault();
+      document.body.classList.add("dropping");
+    });
+    addEventListener("dragleave", (event) => {
+      if (!event.relatedTarget) document.body.classList.remove("dropping");
+    });
+    addEventListener("drop", async (event) => {
+      event.preventDefault();
+      document.body.classList.remove("dropping");
+      const files = dropped(event.dataTransfer); // before the first await: the drop's items are gone after it
+      if (!this.dialog.open) await this.open();
+      this.take(await files);
+    });
+  }
+
+  async take(files) {
+    const found = sort(files);
+    if (found.frames.length || found.sky.length) this.found = found;
+    if (!this.fields.name.value && found.frames.length) {
+      const path = found.frames[0].path || found.frames[0].webkitRelativePath || "";
+      this.fields.name.value = path.includes("/") ? path.split("/")[0] : "";
+    }
+    this.chooseSky();
+    await this.preview();
+    if (found.mesh) await this.takeMesh(found.mesh);
+  }
+
+  chooseSky() {
+    const { sky, frames } = this.found;
+    const moving = frames.some(isVideo);
+    this.fields.sky.value = sky.length ? "files" : moving ? "border" : "first";
+    this.fields.first.max = Math.max(frames.length - 1, 1);
+    this.fields.first.value = Math.min(DEFAULT_FIRST, Math.max(frames.length - 1, 1));
+    this.refresh();
+  }
+
+  async preview() {
+    const picture = this.dialog.querySelector(".preview");
+    const file = this.found.frames[0];
+    picture.hidden = true;
+    if (!file?.type.match(/png|jpeg/)) return;
+    URL.revokeObjectURL(picture.src);
+    picture.src = URL.createObjectURL(file);
+    picture.hidden = await picture.decode().then(() => false, () => true); // 16 bits or broken: the service will tell
+  }
+
+  async takeMesh(file) {
+    if (!file) return;
+    const form = new FormData();
+    form.append("file", file);
+    this.busy(`Reading ${file.name}…`);
+    try {
+      const model = await this.api.json("/v1/models", { method: "POST", body: form });
+      this.models = [model, ...this.models.filter((known) => known.model_id !== model.model_id)];
+      this.listModels(model.model_id);
+      this.tell(null);
+    } catch (error) {
+      this.tell(error);
+      this.showModel();
+    }
+  }
+
+  listModels(chosen) {
+    const options = this.models.map((model) => new Option(model.name, model.model_id));
+    this.fields.model.replaceChildren(new Option(options.length ? "Choose…" : "None uploaded yet", ""), ...options);
+    this.fields.model.value = this.models.some((model) => model.model_id === chosen) ? chosen : "";
+    this.showModel();
+  }
+
+  get model() {
+    return this.models.find((model) => model.model_id === this.fields.model.value);
+  }
+
+  showModel() {
+    const { model } = this;
+    const joints = model?.joints ?? [];
+    this.busy(!model ? "" : [
+      `${model.faces.toLocaleString("en")} faces`, `${model.parts.length} ${model.parts.length === 1 ? "part" : "parts"}`,
+      `${model.size.map((s) => Number(s.toPrecision(3))).join(" × ")} units`, ...model.warnings].join(" · "));
+    const box = this.dialog.querySelector(".joints");
+    box.hidden = !joints.length;
+    box.querySelector("div").replaceChildren(...joints.map((joint) => {
+      const label = element("label"), input = element("input");
+      Object.assign(input, { type: "checkbox", name: "joint", value: joint.name, checked: joints.length <= MANY_JOINTS });
+      label.append(input, ` ${joint.name} `, element("small", `${joint.min} to ${joint.max}${joint.kind === "revolute" ? "°" : ""}`));
+      return label;
+    }));
+    this.refresh();
+  }
+
+  busy(text) {
+    this.dialog.querySelector(".model-facts").textContent = text;
+  }
+
+  refresh() {
+    const { sky, frames, ignored } = this.found, { fields } = this;
+    const first = Number(fields.first.value);
+    const tracked = fields.sky.value === "first" ? frames.slice(first) : frames;
+    this.dialog.querySelector(".frame-facts").textContent =
+      frames.length ? describe(frames) + (ignored ? ` · ${ignored} other files left out` : "") : "";
+    this.dialog.querySelector(".sky-facts").textContent = sky.length ? describe(sky) : "no folder called background or sky";
+    fields.sky[0].disabled = !sky.length;
+    fields.sky[1].disabled = frames.length < 2 || frames.some(isVideo);
+    for (const part of this.dialog.querySelectorAll(".later")) part.disabled = !frames.length;
+    const missing = !frames.length ? "Choose the frames" : !this.model ? "Choose the spacecraft's model" : null;
+    const button = fields.start;
+    button.disabled = Boolean(missing);
+    const videos = tracked.filter(isVideo).length;
+    button.textContent = missing ?? (videos ? `Track ${videos === 1 ? tracked[0].name : `${videos} videos`}` : `Track ${tracked.length} frames`);
+  }
+
+  tell(error) {
+    this.problem.hidden = !error;
+    this.problem.replaceChildren(error ? problemText(error) : "");
+  }
+
+  plan() {
+    const { fields, found } = this;
+    const first = Number(fields.first.value);
+    const numbers = { particles: fields.particles.valueAsNumber, seed: fields.seed.valueAsNumber };
+    const filter = Object.fromEntries(Object.entries(numbers).filter(([, value]) => Number.isFinite(value)));
+    const joints = [...this.dialog.querySelectorAll(".joints input:checked")].map((input) => input.value);
+    const rate = fields.rate.valueAsNumber;
+    return {
+      request: {
+        model_id: this.model.model_id,
+        ...(fields.name.value.trim() ? { name: fields.name.value.trim() } : {}),
+        ...(joints.length ? { joints: { free: joints } } : {}),
+        filter: { preset: fields.preset.value, ...filter },
+        ...(rate > 0 ? { motion: { frame_interval_s: 1 / rate } } : {}),
+      },
+      sky: fields.sky.value === "files" ? found.sky : found.frames.slice(0, first),
+      border: fields.sky.value === "border" ? fields.border.valueAsNumber : null,
+      frames: fields.sky.value === "first" ? found.frames.slice(first) : found.frames,
+    };
+  }
+
+  async submit() {
+    this.fields.start.disabled = true;
+    try {
+      await this.start(this.plan());
+      this.dialog.close();
+      this.clear();
+    } catch (error) {
+      this.tell(error);
+      this.fields.start.disabled = false;
+    }
+  }
+}

@@ -1,0 +1,67 @@
+// What the WebGL views share: a renderer that follows its element's size, drawing on demand, turning by drag and keys.
+import { Quaternion, Vector2, Vector3, WebGLRenderer } from "../vendor/three/three.module.min.js";
+
+const X = new Vector3(1, 0, 0), Y = new Vector3(0, 1, 0);
+
+// null where the browser has no WebGL: the page goes on without.
+export function openRenderer(canvas, options) {
+  try {
+    const renderer = new WebGLRenderer({ canvas, alpha: true, antialias: true, ...options });
+    renderer.setClearColor(0x000000, 0);
+    return renderer;
+  } catch (error) {
+    console.info("no WebGL:", error.message);
+    canvas.closest("figure")?.classList.add("no-webgl");
+    return null;
+  }
+}
+
+// Calls draw(width, height) in the next animation frame after request(), and whenever the element changes its size.
+export class Painter {
+  constructor(element, draw) {
+    this.element = element;
+    this.draw = draw;
+    this.waiting = false;
+    new ResizeObserver(() => this.request()).observe(element);
+  }
+
+  request() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => {
+      this.waiting = false;
+      const { clientWidth, clientHeight } = this.element;
+      if (clientWidth && clientHeight) this.draw(clientWidth, clientHeight);
+    });
+  }
+}
+
+export function fitRenderer(renderer, width, height) {
+  const ratio = Math.min(devicePixelRatio, 2);
+  const size = renderer.getDrawingBufferSize(new Vector2());
+  if (size.x !== Math.floor(width * ratio) || size.y !== Math.floor(height * ratio)) {
+    renderer.setPixelRatio(ratio);
+    renderer.setSize(width, height, false);
+  }
+}
+
+// `turn` is what the viewer has turned the scene by; a drag, or the arrow keys on a focused view, change it.
+export function makeTurnable(canvas, changed) {
+  const turn = new Quaternion();
+  const rotate = (dx, dy) => {
+    turn.premultiply(new Quaternion().setFromAxisAngle(Y, dx)).premultiply(new Quaternion().setFromAxisAngle(X, dy));
+    changed();
+  };
+  canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+  canvas.addEventListener("pointermove", (event) => {
+    if (canvas.hasPointerCapture(event.pointerId)) rotate(event.movementX * 0.01, event.movementY * 0.01);
+  });
+  canvas.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }[event.key];
+    if (!step) return;
+    event.preventDefault();
+    event.stopPropagation(); // the page's own arrows step through the frames
+    rotate(...step);
+  });
+  return turn;
+}

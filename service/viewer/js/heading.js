@@ -1,0 +1,88 @@
+// Title, status and connection of the watched session; save and delete.
+import { ask, tellProblem } from "./notices.js";
+import { badge, element } from "./readout.js";
+import { titleOf } from "./sessions.js";
+
+const $ = (id) => document.getElementById(id);
+
+export function addHeading(api, { deleted }) {
+  let session = null, model = "", arrived = 0;
+
+  $("export").addEventListener("change", async (event) => {
+    const format = event.target.value;
+    event.target.value = "";
+    try {
+      await save(api, session.session_id, format);
+    } catch (error) {
+      tellProblem(error);
+    }
+  });
+  $("delete").addEventListener("click", async () => {
+    const doomed = session;
+    const says = element("p", `${titleOf(doomed)} and its ${doomed.frames} frames will be gone for good.`);
+    const sure = await ask("Delete this session?", says, [[false, "Keep it"], [true, "Delete", "danger"]], false);
+    if (!sure) return;
+    try {
+      await api.call(`/v1/sessions/${doomed.session_id}`, { method: "DELETE" });
+    } catch (error) {
+      tellProblem(error);
+    }
+    deleted();
+  });
+
+  const update = (now) => {
+    session = now;
+    $("title").textContent = titleOf(now);
+    if (now.state !== "ready") $("status").replaceChildren(badge("waiting"));
+    if (now.state !== "ready") $("status").firstChild.textContent = "Needs empty sky";
+    $("warnings").replaceChildren(...now.warnings.map((text) => element("li", text)));
+    document.title = `${titleOf(now)} · skypose`;
+  };
+
+  return {
+    update,
+    open(now) {
+      model = "";
+      $("status").replaceChildren();
+      $("moment").textContent = now.frames ? "" : "Waiting for the first frame.";
+      update(now);
+    },
+    setModel(found) {
+      model = found.name;
+    },
+    show(estimate) {
+      arrived = performance.now();
+      if ($("status").firstChild?.className !== `badge ${estimate.status}`) $("status").replaceChildren(badge(estimate.status));
+      $("moment").textContent = `${model ? `${model} · ` : ""}frame ${estimate.index} · ${estimate.time.replace("T", " ").replace("Z", " UTC")}`;
+    },
+    // The lamp in the page's head, and the mark over everything that may not be the newest.
+    link(stream, shown, past) {
+      const lamp = $("link"), stale = Boolean(stream?.stale);
+      const seconds = Math.round((stream?.silentMs ?? 0) / 1000);
+      const state = !stream ? "" : stale ? "lost" : stream.state;
+      lamp.className = state;
+      const says = { live: past ? "live, looking at the past" : quiet(shown, arrived), lost: "reconnecting",
+        connecting: "connecting", ended: "ended" }[state] ?? "";
+      const text = lamp.querySelector(".text");
+      if (text.textContent !== says) text.textContent = says;
+      $("session").classList.toggle("stale", stale);
+      $("stale").hidden = !stale;
+      if (stale) $("stale").textContent = `Stale: nothing heard from the service for ${seconds} s. What you see may be old.`;
+    },
+  };
+}
+
+function quiet(shown, arrived) {
+  const seconds = Math.floor((performance.now() - arrived) / 1000);
+  return !shown || seconds < 5 ? "live" : "live, no new frame";
+}
+
+async function save(api, id, format) {
+  const answer = await api.call(`/v1/sessions/${id}/export?format=${format}`);
+  const named = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "");
+  const link = element("a");
+  link.href = URL.createObjectURL(await answer.blob());
+  link.download = named?.[1] ?? `${id}.${format}`;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}

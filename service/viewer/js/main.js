@@ -1,0 +1,104 @@
+// Wires the page: one chosen session, its stream and history, and the views of one estimate at a time.
+import { Api } from "./api.js";
+import { CloudView } from "./cloud.js";
+import { CreateDialog } from "./create.js";
+import { FrameView } from "./frame.js";
+import { ModelView } from "./model.js";
+import { askKey, tellProblem } from "./notices.js";
+import { Plots } from "./plots.js";
+import { Readout } from "./readout.js";
+import { SessionList } from "./sessions.js";
+import { Shortcuts } from "./shortcuts.js";
+import { Timeline } from "./timeline.js";
+import { Watch } from "./watch.js";
+import { addHeading } from "./heading.js";
+import { follow } from "./progress.js";
+
+const $ = (id) => document.getElementById(id);
+const api = new Api(askKey);
+const frame = new FrameView($("frame"), api);
+const model = new ModelView($("model"));
+const cloud = new CloudView($("cloud"), api);
+const readout = new Readout($("readout"), (rank) => watch.inspect(rank));
+const plots = new Plots($("plots"), (time) => watch.goToTime(time));
+const timeline = new Timeline($("timeline"), { goTo: (index) => watch.goTo(index), live: () => watch.goLive() });
+const heading = addHeading(api, { deleted: () => list.refresh() });
+const watch = new Watch(api, { frame, model, cloud, readout, plots, timeline, heading });
+const list = new SessionList($("sessions"), api, {
+  choose: (session) => open(session),
+  changed: (sessions) => arrange(sessions),
+});
+const create = new CreateDialog($("create"), api, async (plan) => {
+  const sent = await follow(api, plan);
+  await list.refresh();
+  const session = list.sessions.find((item) => item.session_id === sent);
+  if (session) open(session);
+});
+
+function open(session) {
+  list.chosen = session.session_id;
+  history.replaceState(null, "", `#${session.session_id}`);
+  list.draw();
+  watch.open(session);
+}
+
+// After every look at the list: choose one where none is chosen, or say how to begin.
+function arrange(sessions) {
+  $("welcome").hidden = sessions.length > 0;
+  $("session").hidden = !sessions.length;
+  const chosen = sessions.find((session) => session.session_id === list.chosen);
+  if (chosen) watch.update(chosen);
+  else if (sessions.length) open(sessions.find((s) => `#${s.session_id}` === location.hash) ?? sessions[0]);
+  else watch.close();
+}
+
+function toggle(name) {
+  const on = frame.toggle(name);
+  document.querySelector(`[data-toggle="${name}"]`).setAttribute("aria-pressed", String(on));
+}
+
+function redLight() {
+  const on = document.body.classList.toggle("red");
+  $("night").setAttribute("aria-pressed", String(on));
+  localStorage.setItem("skypose.red", on ? "1" : "");
+}
+
+function neighbour(by) {
+  const session = list.neighbour(by);
+  if (session && session.session_id !== list.chosen) open(session);
+}
+
+new Shortcuts([
+  ["play or pause the pass", { " ": () => timeline.toggle() }],
+  ["one frame back, one on", { ArrowLeft: () => timeline.step(-1), ArrowRight: () => timeline.step(1) }],
+  ["ten frames back, ten on", { "Shift+ArrowLeft": () => timeline.step(-10), "Shift+ArrowRight": () => timeline.step(10) }],
+  ["first frame, last frame", { Home: () => timeline.step(-Infinity), End: () => timeline.step(Infinity) }],
+  ["back to live", { l: () => timeline.goLive() }],
+  ["next session, the one before", { j: () => neighbour(1), k: () => neighbour(-1) }],
+  ["new track", { n: () => create.open() }],
+  ["outline of the best pose on or off", { o: () => toggle("outlines") }],
+  ["other modes on or off", { m: () => toggle("modes") }],
+  ["zoom to the object", { z: () => toggle("zoom") }],
+  ["set the views back", { v: () => { model.resetView(); cloud.resetView(); } }],
+  ["red light", { r: redLight }],
+  ["this help", { "?": () => $("help").showModal() }],
+], $("help"));
+
+for (const button of document.querySelectorAll("[data-toggle]")) {
+  button.addEventListener("click", () => toggle(button.dataset.toggle));
+}
+for (const id of ["new", "welcome-new"]) $(id).addEventListener("click", () => create.open());
+$("night").addEventListener("click", redLight);
+$("help-button").addEventListener("click", () => $("help").showModal());
+$("help").querySelector(".close").addEventListener("click", () => $("help").close());
+$("window").addEventListener("change", (event) => {
+  plots.seconds = Number(event.target.value) || null;
+  plots.request();
+});
+if (localStorage.getItem("skypose.red")) redLight();
+addEventListener("unhandledrejection", (event) => {
+  event.preventDefault();
+  tellProblem(event.reason);
+});
+await watch.prepare();
+list.run();

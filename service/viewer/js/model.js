@@ -1,0 +1,108 @@
+// The model in its attitude, as the telescope sees it; a drag walks around it.
+import {
+  ArrowHelper, CanvasTexture, DirectionalLight, EdgesGeometry, Group, HemisphereLight, LineBasicMaterial, LineSegments,
+  MeshStandardMaterial, DoubleSide, OrthographicCamera, Scene, Sprite, SpriteMaterial, Vector3,
+} from "../vendor/three/three.module.min.js";
+import { fitRenderer, makeTurnable, openRenderer, Painter } from "./gl.js";
+import { onScreen } from "./rotation.js";
+
+const BODY = new MeshStandardMaterial({ color: 0xaeb9c6, roughness: 0.75, metalness: 0.15, flatShading: true,
+  side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+const MOVING = new MeshStandardMaterial({ color: 0x5f86c9, roughness: 0.5, metalness: 0.2, flatShading: true,
+  side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+const CREASE = new LineBasicMaterial({ color: 0x0b1016, transparent: true, opacity: 0.55 });
+const AXES = [["X", 0xff6b6b, [1, 0, 0]], ["Y", 0x6bd66b, [0, 1, 0]], ["Z", 0x6b9bff, [0, 0, 1]]];
+const MAX_CREASED_FACES = 40_000;
+
+export function axes(length) {
+  const group = new Group();
+  for (const [name, colour, direction] of AXES) {
+    const along = new Vector3(...direction);
+    group.add(new ArrowHelper(along, new Vector3(), length, colour, length * 0.12, length * 0.05));
+    const label = new Sprite(new SpriteMaterial({ map: letter(name, colour), depthTest: false }));
+    label.position.copy(along.multiplyScalar(length * 1.1));
+    label.scale.setScalar(length * 0.22);
+    group.add(label);
+  }
+  return group;
+}
+
+function letter(name, colour) {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 64;
+  const context = canvas.getContext("2d");
+  context.font = "600 44px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.fillStyle = `#${colour.toString(16)}`;
+  context.fillText(name, 32, 34);
+  return new CanvasTexture(canvas);
+}
+
+// The body in its colours, creases drawn where the mesh is small enough.
+export function drawn(body) {
+  const group = body.instance((part, moves) => (moves ? MOVING : BODY));
+  if (body.model.faces > MAX_CREASED_FACES) return group;
+  for (const mesh of group.children) mesh.add(new LineSegments(new EdgesGeometry(mesh.geometry, 25), CREASE));
+  return group;
+}
+
+export function lights() {
+  const sun = new DirectionalLight(0xffffff, 2.6);
+  sun.position.set(-0.6, 0.8, 1);
+  return [sun, new HemisphereLight(0xbfd4ff, 0x202838, 0.9)];
+}
+
+export class ModelView {
+  constructor(figure) {
+    const canvas = figure.querySelector("canvas");
+    this.renderer = openRenderer(canvas);
+    this.scene = new Scene().add(...lights());
+    this.holder = new Group();
+    this.scene.add(this.holder);
+    this.camera = new OrthographicCamera();
+    this.camera.position.z = 10;
+    this.painter = new Painter(figure.querySelector(".stage"), (width, height) => this.draw(width, height));
+    this.turn = makeTurnable(canvas, () => this.painter.request());
+    canvas.addEventListener("dblclick", () => this.resetView());
+    this.reset();
+  }
+
+  resetView() {
+    this.turn.identity();
+    this.painter.request();
+  }
+
+  reset() {
+    this.holder.clear();
+    this.body = this.pose = null;
+    this.painter.request();
+  }
+
+  setBody(body) {
+    this.holder.clear();
+    this.body = body;
+    this.group = drawn(body);
+    this.holder.add(this.group, axes(body.radius * 1.15));
+    this.holder.scale.setScalar(1 / body.radius);
+    if (this.pose) this.show(this.pose);
+  }
+
+  show(pose) {
+    this.pose = pose;
+    if (this.body) this.body.setJoints(this.group, pose.joints);
+    this.painter.request();
+  }
+
+  draw(width, height) {
+    if (!this.renderer) return;
+    fitRenderer(this.renderer, width, height);
+    const reach = 1.3 / Math.min(width, height);
+    Object.assign(this.camera, { left: -reach * width, right: reach * width, top: reach * height,
+      bottom: -reach * height, near: 0, far: 20 });
+    this.camera.updateProjectionMatrix();
+    this.holder.visible = Boolean(this.pose);
+    if (this.pose) this.holder.quaternion.copy(this.turn).multiply(onScreen(this.pose.orientation));
+    this.renderer.render(this.scene, this.camera);
+  }
+}

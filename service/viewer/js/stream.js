@@ -1,0 +1,88 @@
+// The live stream of a session: a WebSocket that resumes after the last event it gave, and knows when it is stale.
+const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 5000;
+
+export class Stream {
+  // handlers: estimate(document), resync(), end(reason), state(); `ticket()` gives the query that opens the socket
+  constructor(sessionId, seq, { ticket, heartbeatS, ...handlers }) {
+    Object.assign(this, { sessionId, seq, ticket, handlers });
+    this.silenceMs = 2.5 * heartbeatS * 1000;
+    this.wait = FIRST_WAIT_MS;
+    this.state = "connecting";
+    this.heard = performance.now();
+    this.wake = () => { if (this.state === "lost") this.retry(0); };
+    addEventListener("online", this.wake);
+    this.connect();
+  }
+
+  get silentMs() {
+    return performance.now() - this.heard;
+  }
+
+  // Nothing that is shown can be trusted to be the newest.
+  get stale() {
+    return this.state !== "ended" && (this.state === "lost" || this.silentMs > this.silenceMs);
+  }
+
+  async connect() {
+    this.timer = null;
+    let query;
+    try {
+      query = await this.ticket(this.sessionId);
+    } catch (error) {
+      if (error.status === 404) return this.finish("deleted");
+      return this.lose();
+    }
+    if (this.closed) return;
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const path = `/v1/sessions/${this.sessionId}/stream?after=${this.seq}${query}`;
+    const socket = new WebSocket(`${scheme}://${location.host}${path}`);
+    this.socket = socket;
+    socket.onopen = () => { this.hear("live"); this.wait = FIRST_WAIT_MS; };
+    socket.onmessage = (event) => this.take(JSON.parse(event.data));
+    socket.onclose = () => { if (socket === this.socket) this.lose(); };
+  }
+
+  take(message) {
+    this.hear("live");
+    if (message.type === "resync-required") this.handlers.resync();
+    else if (message.type === "end" && message.reason !== "shutdown") this.finish(message.reason);
+    else if (message.type === "estimate") this.handlers.estimate(message.estimate);
+    this.seq = message.seq;
+  }
+
+  hear(state) {
+    this.heard = performance.now();
+    this.become(state);
+  }
+
+  lose() {
+    if (this.closed || this.state === "ended") return;
+    this.become("lost");
+    this.retry(this.wait);
+    this.wait = Math.min(this.wait * 2, LONGEST_WAIT_MS);
+  }
+
+  retry(waitMs) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.connect(), waitMs);
+  }
+
+  finish(reason) {
+    this.become("ended");
+    this.handlers.end(reason);
+    this.close();
+  }
+
+  become(state) {
+    if (this.state === state) return;
+    this.state = state;
+    this.handlers.state();
+  }
+
+  close() {
+    this.closed = true;
+    clearTimeout(this.timer);
+    removeEventListener("online", this.wake);
+    this.socket?.close();
+  }
+}
