@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
-DEEPEST_NODE = 64
+from gpu.mesh_limits import MeshLimits, require
+
 TRIANGLE_FAN = 6
 UNSUPPORTED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 
-def check_glb(data: bytes) -> str | None:
-    """What is wrong with the container or its JSON, or None. Geometry is checked after reading."""
+def check_glb(data: bytes, limits: MeshLimits) -> str | None:
+    """What is wrong with the container or its JSON, or None. Geometry is checked after reading.
+
+    Raises ``MeshLimitError`` for counts past ``limits``.
+    """
     if len(data) < 20 or data[:4] != b"glTF":
         return "the magic number is missing"
     version, length, json_length = struct.unpack_from("<III", data, 4)
@@ -23,13 +27,15 @@ def check_glb(data: bytes) -> str | None:
         return f"truncated: the header says {length} bytes, the file has {len(data)}"
     if data[16:20] != b"JSON" or 20 + json_length > len(data):
         return "the first chunk is no complete JSON chunk"
+    require(limits, json_bytes=json_length)
     try:
         tree = json.loads(data[20 : 20 + json_length])
     except (ValueError, RecursionError) as error:
         return f"the JSON chunk cannot be read: {error}"
     if not isinstance(tree, dict):
         return "the JSON chunk is no object"
-    return _foreign_data(tree) or _triangle_fans(tree) or _bad_nodes(tree)
+    problem = _foreign_data(tree) or _triangle_fans(tree) or _bad_nodes(tree, limits)
+    return problem or _bad_counts(tree, limits)
 
 
 def _entries(tree: Mapping[str, Any], key: str) -> Sequence[Mapping[str, Any]]:
@@ -58,9 +64,10 @@ def _triangle_fans(tree: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _bad_nodes(tree: Mapping[str, Any]) -> str | None:
-    """Every node must be reached once (a forest, as glTF demands) and within ``DEEPEST_NODE`` levels."""
+def _bad_nodes(tree: Mapping[str, Any], limits: MeshLimits) -> str | None:
+    """Every node must be reached once (a forest, as glTF demands) and within ``limits.depth`` levels."""
     nodes = _entries(tree, "nodes")
+    require(limits, nodes=len(nodes))
     children: list[list[int]] = []
     parents = [0] * len(nodes)
     for i, node in enumerate(nodes):
@@ -76,8 +83,38 @@ def _bad_nodes(tree: Mapping[str, Any]) -> str | None:
     reached, depth = 0, 0
     while level:
         depth += 1
-        if depth > DEEPEST_NODE:
-            return f"nodes are nested deeper than {DEEPEST_NODE} levels"
+        if depth > limits.depth:
+            return f"nodes are nested deeper than {limits.depth} levels"
         reached += len(level)
         level = [child for i in level for child in children[i]]
     return None if reached == len(nodes) else "the node tree contains a cycle"
+
+
+def _bad_counts(tree: Mapping[str, Any], limits: MeshLimits) -> str | None:
+    """Vertices and faces as the accessors state them, each mesh as often as nodes show it."""
+    counts: list[int] = []
+    for i, accessor in enumerate(_entries(tree, "accessors")):
+        count = accessor.get("count")
+        if not isinstance(count, int) or count < 0:
+            return f"accessor {i} states no count"
+        if count > limits.vertices:  # an index three times for each face
+            require(limits, faces=count // 3)
+        counts.append(count)
+    sizes = []
+    for i, mesh in enumerate(_entries(tree, "meshes")):
+        vertices = indices = 0
+        for primitive in _entries(mesh, "primitives"):
+            attributes = primitive.get("attributes")
+            position = attributes.get("POSITION") if isinstance(attributes, dict) else None
+            index = primitive.get("indices", position)
+            if not (_is_index(position, counts) and _is_index(index, counts)):
+                return f"mesh {i} refers to an accessor that does not exist"
+            vertices, indices = vertices + counts[position], indices + counts[index]
+        sizes.append((vertices, indices))
+    shown = [node["mesh"] for node in _entries(tree, "nodes") if _is_index(node.get("mesh"), sizes)]
+    require(limits, vertices=sum(sizes[k][0] for k in shown), faces=sum(sizes[k][1] for k in shown) // 3)
+    return None
+
+
+def _is_index(value: Any, items: Sequence[Any]) -> TypeGuard[int]:
+    return isinstance(value, int) and 0 <= value < len(items)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpu.mesh_file import MeshError, RawPart, read_parts
+from gpu.mesh_file import RawPart, read_parts
+from gpu.mesh_limits import MeshError
 from gpu.repair import describe_repair, is_watertight, repair
 
 __all__ = ["Mesh", "MeshError", "Part", "assemble", "load_mesh"]

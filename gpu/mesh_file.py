@@ -13,13 +13,13 @@ import trimesh
 from numpy.typing import NDArray
 
 from gpu.gltf_check import check_glb
+from gpu.mesh_limits import MeshError, MeshLimits, require
 
 FILE_TYPES = ("glb", "obj", "stl", "ply")
 LARGEST_COORDINATE = 1e12
-
-
-class MeshError(ValueError):
-    """The file is no usable mesh; the message says why."""
+DEFAULT_LIMITS = MeshLimits()
+_PLY_ELEMENTS = re.compile(rb"^\s*element\s+(vertex|face)\s+(\d{1,18})\s*$", re.M)
+_PLY_HEADER_BYTES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -31,20 +31,36 @@ class RawPart:
     faces: NDArray[np.int64]  # (F, 3), all in range
 
 
-def read_parts(data: bytes, file_type: str) -> list[RawPart]:
-    """One part per node that carries triangles, in file order. Raises ``MeshError``, naming what is wrong."""
+def read_parts(data: bytes, file_type: str, limits: MeshLimits = DEFAULT_LIMITS) -> list[RawPart]:
+    """One part per node that carries triangles, in file order.
+
+    Raises ``MeshError``, naming what is wrong, or ``MeshLimitError`` for what is past ``limits``: as far as the file
+    states its sizes, before it is parsed.
+    """
     kind = file_type.lower().lstrip(".")
     if kind not in FILE_TYPES:
         raise MeshError(f"file type {file_type!r} is not one of {', '.join(FILE_TYPES)}")
     if not data:
         raise MeshError("the file is empty")
     if kind == "glb":
-        problem = check_glb(data)
+        problem = check_glb(data, limits)
         if problem:
             raise MeshError(f"GLB: {problem}")
     elif kind == "stl":
-        _check_stl(data)
-    parts = [_checked(name, vertices, faces) for name, vertices, faces in _nodes(_scene(data, kind))]
+        _check_stl(data, limits)
+    elif kind == "ply":
+        found = {name: int(count) for name, count in _PLY_ELEMENTS.findall(data[:_PLY_HEADER_BYTES])}
+        require(limits, vertices=found.get(b"vertex", 0), faces=found.get(b"face", 0))
+    else:
+        require(limits, vertices=data.count(b"\nv "), faces=data.count(b"\nf "), nodes=data.count(b"\no "))
+    pieces = _nodes(_scene(data, kind))
+    require(
+        limits,
+        nodes=len(pieces),
+        vertices=sum(len(vertices) for _, vertices, _ in pieces),
+        faces=sum(len(faces) for _, _, faces in pieces),
+    )
+    parts = [_checked(name, vertices, faces) for name, vertices, faces in pieces]
     if not any(len(part.faces) for part in parts):
         raise MeshError("the file has no faces")
     return parts
@@ -56,6 +72,8 @@ def _scene(data: bytes, kind: str) -> trimesh.Scene:
         options["skip_materials"] = True
     try:
         return trimesh.load_scene(io.BytesIO(data), file_type=kind, **options)
+    except MemoryError:
+        raise
     except Exception as error:  # whatever the parser trips over, the file is at fault
         raise MeshError(f"cannot be read as {kind.upper()}: {type(error).__name__}: {error}") from error
 
@@ -102,9 +120,10 @@ def _checked(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64])
     return RawPart(name, vertices, faces)
 
 
-def _check_stl(data: bytes) -> None:
+def _check_stl(data: bytes, limits: MeshLimits) -> None:
     """A binary STL's face count must agree with its length (84-byte header, 50 bytes a face)."""
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2048].lower():
+        require(limits, faces=data.lower().count(b"endfacet"))
         return
     if len(data) < 84:
         raise MeshError("STL: shorter than its 84-byte header")
@@ -113,3 +132,4 @@ def _check_stl(data: bytes) -> None:
         raise MeshError(
             f"STL: the header declares {declared} faces ({84 + 50 * declared} bytes), the file has {len(data)} bytes"
         )
+    require(limits, faces=declared)

@@ -34,6 +34,8 @@ from service.settings import MEBIBYTE, Settings
 from service.store.base import Retention
 from service.store.database import Database
 from service.workers.engine import Engine, Transport
+from service.workers.inspector import Inspector
+from service.workers.limits import DecodeLimits
 from service.workers.process import TRACKER, ProcessTransport
 
 log = structlog.get_logger(__name__)
@@ -43,19 +45,23 @@ HOUSEKEEPING_S = 1.0
 
 def create_app(settings: Settings, transport: Transport | None = None) -> FastAPI:
     """The application. ``transport`` replaces worker processes with the tracker, started with the application."""
+    limits = DecodeLimits.of(settings.model_dump())
     engine = Engine(
         transport
-        or ProcessTransport(TRACKER, settings.workers, settings.worker_timeout_s, settings.worker_start_timeout_s)
+        or ProcessTransport(
+            TRACKER, settings.workers, settings.worker_timeout_s, settings.worker_start_timeout_s, (limits,)
+        )
     )
     database = Database(settings.data_dir, settings.reader_threads)
-    services = _build(settings, engine, database)
+    inspector = Inspector(limits)
+    services = _build(settings, engine, database, inspector)
     app = FastAPI(
         title="skypose",
         version=health.release(),
         summary="Spacecraft pose from telescope video, by a particle filter on silhouettes",
         docs_url=None,
         redoc_url=None,
-        lifespan=partial(_lifespan, services, engine, database),
+        lifespan=partial(_lifespan, services, engine, database, inspector),
     )
     app.state.services = services
     problems.install(app)
@@ -67,7 +73,7 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     return app
 
 
-def _build(settings: Settings, engine: Engine, database: Database) -> Services:
+def _build(settings: Settings, engine: Engine, database: Database, inspector: Inspector) -> Services:
     metrics = Metrics()
     hub = Hub(
         database,
@@ -78,7 +84,7 @@ def _build(settings: Settings, engine: Engine, database: Database) -> Services:
     )
     retention = Retention(settings.keep_frame_bodies, settings.keep_particle_sets, settings.keep_particle_every)
     library = Library(database, engine)
-    rooms = Rooms(engine, database, hub, metrics, retention, settings.session_inbox_frames)
+    rooms = Rooms(engine, inspector, database, hub, metrics, retention, settings.session_inbox_frames)
     registry = Registry(rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions)
     return Services(
         settings=settings,
@@ -88,7 +94,7 @@ def _build(settings: Settings, engine: Engine, database: Database) -> Services:
         library=library,
         archive=Archive(database, engine),
         checkpoints=Checkpoints(database, registry, library),
-        batches=Batches(registry, engine),
+        batches=Batches(registry, engine, inspector),
         status=Status(database, engine),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),
         submissions=Submissions(),
@@ -97,11 +103,14 @@ def _build(settings: Settings, engine: Engine, database: Database) -> Services:
 
 
 @contextlib.asynccontextmanager
-async def _lifespan(services: Services, engine: Engine, database: Database, app: FastAPI) -> AsyncIterator[None]:
+async def _lifespan(
+    services: Services, engine: Engine, database: Database, inspector: Inspector, app: FastAPI
+) -> AsyncIterator[None]:
     async with contextlib.AsyncExitStack() as stack:
         await database.open()
         stack.push_async_callback(database.close)
         stack.push_async_callback(engine.transport.close)
+        stack.callback(inspector.close)
         await engine.transport.start()
         stack.push_async_callback(services.submissions.close)
         stack.push_async_callback(services.registry.close)

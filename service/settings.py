@@ -54,6 +54,31 @@ class Settings(BaseSettings):
     """Body of a frame or background image, in MiB."""
     max_model_mb: Positive = 64
     """Body of a model upload, in MiB."""
+    max_image_pixels: Positive = 1 << 26
+    """Pixels of a frame or background file, all its frames together, as its header states them."""
+    max_image_frames: Positive = 10_000
+    """Frames in one file."""
+    max_image_ratio: Positive = 200
+    """Bytes of pixels per byte of a compressed file, where the pixels are more than 64 MiB."""
+    max_header_kb: Positive = 1024
+    """Header of a FITS file, in KiB."""
+    max_model_faces: Positive = 1_000_000
+    """Faces of a model, each as often as the file shows it."""
+    max_model_vertices: Positive = 3_000_000
+    """Vertices of a model, each as often as the file shows it."""
+    max_model_nodes: Positive = 10_000
+    """Nodes (parts) of a model."""
+    max_model_depth: Positive = 64
+    """Levels of nodes below each other in a GLB."""
+    max_model_json_mb: Positive = 16
+    """JSON chunk of a GLB, in MiB."""
+    decode_memory_mb: Annotated[int, Field(ge=256)] = 2048
+    """What decoding one file may take in memory, in MiB. Images and meshes are decoded in processes of their own."""
+    decode_cpu_s: Positive = 20
+    """What decoding one file may take of computing time."""
+    decode_timeout_s: PositiveSeconds = 60.0
+    """What decoding one file may take until there is an answer."""
+
     max_checkpoint_mb: Positive = 512
     """Body of a checkpoint, in MiB."""
     max_json_kb: Positive = 256

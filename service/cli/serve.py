@@ -32,11 +32,16 @@ def serve(
 def run(settings: Settings, worker: str | None = None) -> None:
     """Serve until SIGINT or SIGTERM, then finish the frames in hand. ``worker`` names another than the tracker."""
     from service.cli import logs
+    from service.workers.limits import DecodeLimits
     from service.workers.process import TRACKER, ProcessTransport
 
     logs.configure(settings.log_level, settings.log_format)
     transport = ProcessTransport(
-        worker or TRACKER, settings.workers, settings.worker_timeout_s, settings.worker_start_timeout_s
+        worker or TRACKER,
+        settings.workers,
+        settings.worker_timeout_s,
+        settings.worker_start_timeout_s,
+        () if worker else (DecodeLimits.of(settings.model_dump()),),
     )
     transport.prestart()  # its imports take as long as ours below: side by side they take half
     from service.main import create_app

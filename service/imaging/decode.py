@@ -18,17 +18,18 @@ from service.imaging.formats.imagebytes import read_imagebytes
 from service.imaging.formats.npy import read_npy
 from service.imaging.formats.ser import ByteOrder, read_ser, read_ser_times
 from service.imaging.formats.video import read_video
-from service.imaging.frame import MAX_PIXELS, Frame, Pixels, require_size
+from service.imaging.frame import Frame, Pixels
 from service.imaging.headers import MEDIA_TYPES, ImageHeader, broken, media_kind, read_header
+from service.imaging.limits import DEFAULT_LIMITS, ImageLimits
 
-__all__ = ["MAX_PIXELS", "ByteOrder", "Frame", "Pixels", "decode_frame", "decode_frames", "read_facts"]
+__all__ = ["ByteOrder", "Frame", "ImageLimits", "Pixels", "decode_frame", "decode_frames", "read_facts"]
 
 FITS = ("image/fits", "application/fits")
 SER = ("video/x-ser", "application/x-ser")
 
 
 def decode_frame(
-    body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS, ser_byte_order: ByteOrder = "auto"
+    body: bytes, media_type: str, *, limits: ImageLimits = DEFAULT_LIMITS, ser_byte_order: ByteOrder = "auto"
 ) -> Frame:
     """Decode a file that holds one image. Alpha is dropped, 16 bits are kept.
 
@@ -36,28 +37,28 @@ def decode_frame(
     short, or holds several frames.
     """
     if media_kind(media_type) in MEDIA_TYPES:
-        header = _checked_header(body, media_type, max_pixels)
+        header = _checked_header(body, media_type, limits)
         _require_one(header.frames)
         return _decode(body, header)
-    frames = decode_frames(body, media_type, max_pixels=max_pixels, ser_byte_order=ser_byte_order)
+    frames = decode_frames(body, media_type, limits=limits, ser_byte_order=ser_byte_order)
     _require_one(len(frames))
     return frames[0]
 
 
 def decode_frames(
-    body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS, ser_byte_order: ByteOrder = "auto"
+    body: bytes, media_type: str, *, limits: ImageLimits = DEFAULT_LIMITS, ser_byte_order: ByteOrder = "auto"
 ) -> tuple[Frame, ...]:
-    """Decode every frame of a file. ``max_pixels`` counts all of them together.
+    """Decode every frame of a file.
 
     Raises as ``decode_frame`` does.
     """
     kind = media_kind(media_type)
     if kind in SER:
-        return tuple(read_ser(_some(body), max_pixels, ser_byte_order))
+        return tuple(read_ser(_some(body), limits, ser_byte_order))
     reader = _READERS.get("video/*" if kind.startswith("video/") else kind)
     if reader is not None:
-        return tuple(reader(_some(body), max_pixels))
-    header = _checked_header(body, media_type, max_pixels)
+        return tuple(reader(_some(body), limits))
+    header = _checked_header(body, media_type, limits)
     if header.frames == 1:
         return (_decode(body, header),)
     found, images = cv2.imdecodemulti(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -66,7 +67,7 @@ def decode_frames(
     return tuple(_frame(image, header) for image in images)
 
 
-def read_facts(body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS) -> FrameFacts:
+def read_facts(body: bytes, media_type: str, *, limits: ImageLimits = DEFAULT_LIMITS) -> FrameFacts:
     """Time and pointing that a file states of its first frame, without decoding pixels.
 
     Nothing where its format has no place for them. Raises as ``decode_frame`` does.
@@ -75,20 +76,20 @@ def read_facts(body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS) ->
     if kind in FITS:
         from service.imaging.formats.fits import read_fits_facts
 
-        return read_fits_facts(_some(body), max_pixels)
+        return read_fits_facts(_some(body), limits)
     if kind in SER:
-        times = read_ser_times(_some(body))
+        times = read_ser_times(_some(body), limits)
         return FrameFacts(times[0]) if times else NOTHING
     return NOTHING
 
 
-def _read_fits(body: bytes, max_pixels: int) -> Sequence[Frame]:
+def _read_fits(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
     from service.imaging.formats.fits import read_fits
 
-    return read_fits(body, max_pixels)
+    return read_fits(body, limits)
 
 
-_READERS: Mapping[str, Callable[[bytes, int], Sequence[Frame]]] = {
+_READERS: Mapping[str, Callable[[bytes, ImageLimits], Sequence[Frame]]] = {
     **dict.fromkeys(FITS, _read_fits),
     "application/x-npy": read_npy,
     "application/imagebytes": read_imagebytes,
@@ -108,15 +109,17 @@ def _require_one(frames: int) -> None:
         raise broken(f"the file holds {frames} frames where one is expected")
 
 
-def _checked_header(body: bytes, media_type: str, max_pixels: int) -> ImageHeader:
+def _checked_header(body: bytes, media_type: str, limits: ImageLimits) -> ImageHeader:
     if media_kind(media_type) not in MEDIA_TYPES:
         raise UnsupportedMediaTypeError(
             f"media type {media_type!r} is not one of {', '.join(SUPPORTED)}",
             field="header:Content-Type",
             supported=list(SUPPORTED),
         )
-    header = read_header(body, media_type)
-    require_size(header.frames, header.width, header.height, max_pixels)
+    header = read_header(body, media_type, limits)
+    limits.require_size(header.frames, header.width, header.height)
+    samples = header.width * header.height * header.frames * header.channels
+    limits.require_ratio(samples * header.bits // 8, len(body))
     return header
 
 

@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import TooLargeError
 from service.imaging.facts import NOTHING, FrameFacts
 from service.imaging.headers import broken
-
-MAX_PIXELS = 1 << 26
-"""Default limit of the pixels in one body, all frames together."""
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 _MOST = 65_535
@@ -27,20 +23,6 @@ class Frame:
     bits: int  # 8 or 16
     channels: int  # 1 or 3
     facts: FrameFacts = NOTHING
-
-
-def require_size(frames: int, width: int, height: int, max_pixels: int) -> None:
-    """Raises ``ImageError`` for no pixels, ``TooLargeError`` for more than ``max_pixels`` in all frames together."""
-    if frames < 1 or width < 1 or height < 1:
-        raise broken(f"the file has no pixels ({frames} frames of {width} x {height})")
-    pixels = width * height * frames
-    if pixels > max_pixels:
-        raise TooLargeError(
-            f"{frames} x {width} x {height} pixels exceed the limit of {max_pixels}",
-            field="body",
-            limit=max_pixels,
-            found=pixels,
-        )
 
 
 def as_frame(image: NDArray[Any], facts: FrameFacts = NOTHING) -> Frame:

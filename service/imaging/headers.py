@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from service.errors import ImageError, UnsupportedMediaTypeError
+from service.imaging.limits import DEFAULT_LIMITS, ImageLimits
 from service.imaging.tiff import read_tiff_header
 
 
@@ -34,11 +35,11 @@ _JPEG_SCAN_MARKER = 0xDA
 _ALIASES = {"image/jpg": "image/jpeg", "image/tif": "image/tiff", "image/x-png": "image/png"}
 
 
-def read_header(body: bytes, media_type: str) -> ImageHeader:
+def read_header(body: bytes, media_type: str, limits: ImageLimits = DEFAULT_LIMITS) -> ImageHeader:
     """Header of an image file of this media type (parameters after ``;`` are ignored).
 
     Raises ``UnsupportedMediaTypeError``, or ``ImageError`` for a file that is empty, of another type than it
-    says, cut short or damaged.
+    says, cut short or damaged, ``TooLargeError`` for more frames than ``limits`` allow.
     """
     reader = _READERS.get(media_kind(media_type))
     if reader is None:
@@ -50,7 +51,7 @@ def read_header(body: bytes, media_type: str) -> ImageHeader:
         )
     if not body:
         raise broken("the image is empty")
-    header = reader(body)
+    header = reader(body, limits)
     if header.width < 1 or header.height < 1:
         raise broken(f"the image has no pixels ({header.width} x {header.height})")
     return header
@@ -67,7 +68,7 @@ def broken(detail: str) -> ImageError:
     return ImageError(detail, field="body")
 
 
-def _read_png(body: bytes) -> ImageHeader:
+def _read_png(body: bytes, _: ImageLimits) -> ImageHeader:
     if not body.startswith(_PNG_SIGNATURE):
         raise broken("the media type says PNG, but the body does not begin with a PNG signature")
     header: ImageHeader | None = None
@@ -100,7 +101,7 @@ def _png_chunks(body: bytes) -> Iterator[tuple[bytes, int, int]]:
         at = end + 4
 
 
-def _read_jpeg(body: bytes) -> ImageHeader:
+def _read_jpeg(body: bytes, _: ImageLimits) -> ImageHeader:
     if not body.startswith(_JPEG_START):
         raise broken("the media type says JPEG, but the body does not begin with a JPEG marker")
     header: ImageHeader | None = None
@@ -136,8 +137,8 @@ def _jpeg_segments(body: bytes) -> Iterator[tuple[int, int, int]]:
         at = end
 
 
-def _read_tiff(body: bytes) -> ImageHeader:
-    pages = read_tiff_header(body)
+def _read_tiff(body: bytes, limits: ImageLimits) -> ImageHeader:
+    pages = read_tiff_header(body, limits)
     first = pages[0]
     for page in pages:
         if page != first:
@@ -145,7 +146,7 @@ def _read_tiff(body: bytes) -> ImageHeader:
     return ImageHeader(first.width, first.height, 1 if first.samples <= 2 else 3, first.bits, len(pages))
 
 
-_READERS: Mapping[str, Callable[[bytes], ImageHeader]] = {
+_READERS: Mapping[str, Callable[[bytes, ImageLimits], ImageHeader]] = {
     "image/png": _read_png,
     "image/jpeg": _read_jpeg,
     "image/tiff": _read_tiff,

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import cv2
 
-from service.imaging.decode import FITS, MAX_PIXELS, SER, ByteOrder, decode_frames
+from service.imaging.decode import FITS, SER, ByteOrder, decode_frames
 from service.imaging.facts import FrameFacts
 from service.imaging.formats.npy import count_npy_frames
 from service.imaging.formats.ser import read_ser_times
 from service.imaging.frame import Frame
 from service.imaging.headers import broken, media_kind, read_header
+from service.imaging.limits import DEFAULT_LIMITS, ImageLimits
 
 PNG = "image/png"
 _FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -26,7 +27,7 @@ class SplitFrame:
     facts: FrameFacts
 
 
-def frame_count(body: bytes, media_type: str) -> int | None:
+def frame_count(body: bytes, media_type: str, limits: ImageLimits = DEFAULT_LIMITS) -> int | None:
     """How many frames a file holds by its header; None for a video, which has to be decoded to know.
 
     Raises ``ImageError`` for a damaged header. Of media types that are not supported it says 1: decoding refuses them.
@@ -35,21 +36,21 @@ def frame_count(body: bytes, media_type: str) -> int | None:
     if kind in FITS:
         from service.imaging.formats.fits import count_fits_frames  # astropy, when it is needed
 
-        return count_fits_frames(body, MAX_PIXELS)
+        return count_fits_frames(body, limits)
     if kind in SER:
-        return len(read_ser_times(body))
+        return len(read_ser_times(body, limits))
     if kind == "application/x-npy":
         return count_npy_frames(body)
     if kind == "image/tiff":
-        return read_header(body, media_type).frames
+        return read_header(body, media_type, limits).frames
     return None if kind.startswith("video/") else 1
 
 
 def split_frames(
-    body: bytes, media_type: str, *, max_pixels: int = MAX_PIXELS, ser_byte_order: ByteOrder = "auto"
+    body: bytes, media_type: str, *, limits: ImageLimits = DEFAULT_LIMITS, ser_byte_order: ByteOrder = "auto"
 ) -> tuple[SplitFrame, ...]:
     """Every frame, losslessly. Raises as ``decode_frames`` does."""
-    return tuple(_encoded(decode_frames(body, media_type, max_pixels=max_pixels, ser_byte_order=ser_byte_order)))
+    return tuple(_encoded(decode_frames(body, media_type, limits=limits, ser_byte_order=ser_byte_order)))
 
 
 def _encoded(frames: tuple[Frame, ...]) -> Iterator[SplitFrame]:

@@ -6,11 +6,12 @@ import struct
 from dataclasses import dataclass
 
 from service.errors import ImageError
+from service.imaging.limits import ImageLimits
 
-_MAX_FRAMES = 10_000
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _SAMPLE_FORMAT = 256, 257, 258, 277, 339
 _DATA_TAGS = ((273, 279), (324, 325))  # offsets and byte counts of strips, of tiles
 _TYPE_CODES = {1: "B", 3: "H", 4: "I", 16: "Q"}  # BYTE, SHORT, LONG, LONG8
+_WANTED = frozenset((_WIDTH, _HEIGHT, _BITS, _SAMPLES, _SAMPLE_FORMAT, *(tag for pair in _DATA_TAGS for tag in pair)))
 _UNSIGNED = 1
 
 
@@ -24,8 +25,11 @@ class TiffPage:
     bits: int
 
 
-def read_tiff_header(body: bytes) -> list[TiffPage]:
-    """Every frame of the file. Raises ``ImageError`` where a directory or its pixels lie outside the file."""
+def read_tiff_header(body: bytes, limits: ImageLimits) -> list[TiffPage]:
+    """Every frame of the file.
+
+    Raises ``ImageError`` where a directory or its pixels lie outside the file, ``TooLargeError`` for too many frames.
+    """
     if body[:4] in (b"II*\0", b"MM\0*"):
         reader = _Reader(body, "<" if body[:2] == b"II" else ">", big=False)
     elif body[:4] in (b"II+\0", b"MM\0+"):
@@ -36,8 +40,9 @@ def read_tiff_header(body: bytes) -> list[TiffPage]:
     seen: set[int] = set()
     offset = reader.first_directory()
     while offset:
-        if offset in seen or len(pages) >= _MAX_FRAMES:
-            raise _broken(f"TIFF: its directories form a loop, or there are more than {_MAX_FRAMES}")
+        if offset in seen:
+            raise _broken("TIFF: its directories form a loop")
+        limits.require_size(len(pages) + 1, 1, 1)
         seen.add(offset)
         tags, offset = reader.directory(offset)
         pages.append(_page(tags, len(body)))
@@ -46,18 +51,25 @@ def read_tiff_header(body: bytes) -> list[TiffPage]:
     return pages
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Reader:
     """Numbers of a TIFF, in its byte order."""
 
     body: bytes
     order: str
     big: bool
+    spent: int = 0
 
     def number(self, code: str, at: int) -> int:
         if at < 0 or at + struct.calcsize(code) > len(self.body):
             raise _broken("TIFF: the file is cut short (a directory lies outside of it)")
         return int(struct.unpack_from(self.order + code, self.body, at)[0])
+
+    def spend(self, size: int) -> None:
+        """Count what was read: directories could share their bytes, and then there would be no end to them."""
+        self.spent += size
+        if self.spent > len(self.body):
+            raise _broken("TIFF: its directories refer to more bytes than the file has")
 
     def first_directory(self) -> int:
         return self.number("Q", 8) if self.big else self.number("I", 4)
@@ -70,11 +82,12 @@ class _Reader:
         start = at + struct.calcsize(count_code)
         end = start + count * entry_size
         following = self.number(word, end)
+        self.spend(end - at)
         tags: dict[int, tuple[int, ...]] = {}
         for entry in range(start, end, entry_size):
-            code = _TYPE_CODES.get(self.number("H", entry + 2))
-            if code is not None:
-                tags[self.number("H", entry)] = self._values(entry, code, word)
+            code, tag = _TYPE_CODES.get(self.number("H", entry + 2)), self.number("H", entry)
+            if code is not None and tag in _WANTED:
+                tags[tag] = self._values(entry, code, word)
         return tags, following
 
     def _values(self, entry: int, code: str, word: str) -> tuple[int, ...]:
@@ -85,6 +98,7 @@ class _Reader:
             at = self.number(word, at)
         if at + size > len(self.body):
             raise _broken("TIFF: the file is cut short (a tag's values lie outside of it)")
+        self.spend(size)
         return struct.unpack_from(f"{self.order}{count}{code}", self.body, at)
 
 

@@ -10,24 +10,26 @@ from datetime import datetime, timedelta
 
 import orjson
 
-from service.imaging.split import PNG, SplitFrame, frame_count
+from service.imaging.split import PNG, SplitFrame
 from service.sessions import config as session_config
 from service.sessions.frame import Answer, FrameIn
 from service.sessions.registry import Registry
 from service.workers.engine import Engine
+from service.workers.inspector import Inspector
 from service.workers.splitting import SplitJob
 
 
 class Batches:
     """Takes bodies of several frames."""
 
-    def __init__(self, registry: Registry, engine: Engine) -> None:
+    def __init__(self, registry: Registry, engine: Engine, inspector: Inspector) -> None:
         self._registry = registry
         self._engine = engine
+        self._inspector = inspector
 
     async def is_batch(self, body: bytes, media_type: str) -> bool:
         """Whether a body holds several frames (a video always counts as such). Raises ``ImageError``."""
-        return await asyncio.to_thread(frame_count, body, media_type) != 1
+        return await self._inspector.count(body, media_type) != 1
 
     async def track(self, session_id: str, whole: FrameIn) -> AsyncIterator[Answer]:
         """One answer per frame. Raises what a frame posted singly would; the frames before it stay tracked."""

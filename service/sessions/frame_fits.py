@@ -8,8 +8,9 @@ from typing import Any
 import orjson
 
 from service.errors import ConflictError
-from service.imaging.decode import FITS, MAX_PIXELS
+from service.imaging.decode import FITS
 from service.imaging.headers import media_kind
+from service.imaging.limits import DEFAULT_LIMITS
 
 _ELEMENTS = {"W": "w", "X": "x", "Y": "y", "Z": "z"}
 
@@ -20,7 +21,7 @@ def frame_fits(body: bytes, media_type: str, document: bytes) -> bytes:
         raise ConflictError(f"the frame was sent as {media_type}, not as FITS", field="index")
     from service.imaging.formats.fits_cards import with_cards  # astropy, when it is needed
 
-    return with_cards(body, pose_cards(orjson.loads(document)), limit=16 * MAX_PIXELS)
+    return with_cards(body, pose_cards(orjson.loads(document)), limit=16 * DEFAULT_LIMITS.pixels)
 
 
 def pose_cards(estimate: Mapping[str, Any]) -> list[tuple[str, str | float | int, str]]:

@@ -13,7 +13,6 @@ import orjson
 import structlog
 
 from service.errors import IdempotencyKeyError, NoBackgroundError
-from service.imaging.decode import read_facts
 from service.imaging.facts import FrameFacts
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
@@ -38,6 +37,7 @@ from service.store.base import BackgroundRecord, FrameRecord, Retention, Session
 from service.store.database import Database
 from service.workers.base import BackgroundJob, FrameJob, PackedFrameReport
 from service.workers.engine import Engine
+from service.workers.inspector import Inspector
 
 log = structlog.get_logger(__name__)
 
@@ -47,6 +47,7 @@ class Rooms:
     """What a session works with."""
 
     engine: Engine
+    inspector: Inspector
     database: Database
     hub: Hub
     metrics: Metrics
@@ -93,7 +94,7 @@ class Session:
             raise NoBackgroundError("post a background image first", field="background")
         facts = frame.facts
         if facts is None:
-            facts = await asyncio.to_thread(read_facts, frame.body, frame.media_type)
+            facts = await self._rooms.inspector.facts(frame.body, frame.media_type)
         frame = replace(frame, time=frame.time or facts.time)
         moment = frame_time(record, frame, self._config.motion.frame_interval_s)
         view = await self._view(frame, facts, moment)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from multiprocessing.connection import Connection
+from typing import Any
 
 
-def run(channel: Connection, factory: str) -> None:
+def run(channel: Connection, factory: str, arguments: tuple[Any, ...]) -> None:
     """Body of a worker process: see ``service.workers.host``."""
     from service.workers.host import serve
 
-    serve(channel, factory)
+    serve(channel, factory, arguments)

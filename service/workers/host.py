@@ -38,14 +38,14 @@ def _track(worker: Worker, packed: PackedFrameJob) -> PackedFrameReport:
     return PackedFrameReport(encode(report.state), report.estimate, dict(report.timing_ms), report.scorer, belief)
 
 
-def load_factory(path: str) -> Callable[[], Worker]:
+def load_factory(path: str) -> Callable[..., Worker]:
     """``package.module:name`` -> the callable that builds a worker."""
     module, _, name = path.partition(":")
-    factory: Callable[[], Worker] = getattr(importlib.import_module(module), name)
+    factory: Callable[..., Worker] = getattr(importlib.import_module(module), name)
     return factory
 
 
-def serve(channel: connection.Connection, factory: str) -> None:
+def serve(channel: connection.Connection, factory: str, arguments: tuple[Any, ...] = ()) -> None:
     """Body of a worker process. First message out: ``("done", description)`` when ready."""
     # Ctrl-C and a supervisor's SIGTERM reach the whole group; the parent finishes its frames first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -54,7 +54,7 @@ def serve(channel: connection.Connection, factory: str) -> None:
     worker: Worker | None = None
     ready = False
     try:
-        worker = load_factory(factory)()
+        worker = load_factory(factory)(*arguments)
         channel.send_bytes(pickle.dumps(("done", dict(worker.describe()))))
         ready = True
         while (message := channel.recv_bytes()) != b"":

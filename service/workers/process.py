@@ -25,7 +25,7 @@ from service.errors import SkyposeError, StoppingError, WorkerFailedError
 from service.workers.child import run
 
 log = structlog.get_logger(__name__)
-TRACKER = "service.workers.tracker:Tracker"
+TRACKER = "service.workers.tracker:guarded"  # takes a DecodeLimits
 _CONTEXT = multiprocessing.get_context("spawn")  # fork would copy device contexts and locks
 
 
@@ -43,11 +43,14 @@ class _Child:
 class WorkerProcess:
     """One worker process, started when first needed and again after each loss."""
 
-    def __init__(self, name: str, factory: str, timeout_s: float, start_timeout_s: float) -> None:
+    def __init__(
+        self, name: str, factory: str, timeout_s: float, start_timeout_s: float, arguments: tuple[Any, ...] = ()
+    ) -> None:
         self.name = name
         self.description: Mapping[str, Any] = {}
         self.restarts = 0
         self._factory = factory
+        self._arguments = arguments  # of the factory: plain data
         self._timeout_s = timeout_s
         self._start_timeout_s = start_timeout_s
         self._child: _Child | None = None
@@ -106,7 +109,8 @@ class WorkerProcess:
         if self._child is not None:
             return self._child
         here, there = _CONTEXT.Pipe()
-        process = _CONTEXT.Process(target=run, args=(there, self._factory), name=f"skypose-{self.name}", daemon=True)
+        arguments = (there, self._factory, self._arguments)
+        process = _CONTEXT.Process(target=run, args=arguments, name=f"skypose-{self.name}", daemon=True)
         process.start()
         there.close()  # so that the end of the process is the end of the pipe
         child = _Child(process, here, Finalize(None, process.kill, exitpriority=10))
@@ -173,9 +177,13 @@ class ProcessTransport:
     Preparing a large mesh takes seconds; on a process of its own it holds up no frame.
     """
 
-    def __init__(self, factory: str, workers: int, timeout_s: float, start_timeout_s: float) -> None:
-        self.workers = [WorkerProcess(f"track-{n}", factory, timeout_s, start_timeout_s) for n in range(workers)]
-        self.side = WorkerProcess("side", factory, timeout_s, start_timeout_s)
+    def __init__(
+        self, factory: str, workers: int, timeout_s: float, start_timeout_s: float, arguments: tuple[Any, ...] = ()
+    ) -> None:
+        names = [*(f"track-{n}" for n in range(workers)), "side"]
+        *self.workers, self.side = [
+            WorkerProcess(name, factory, timeout_s, start_timeout_s, arguments) for name in names
+        ]
         self._side_start: asyncio.Task[None] | None = None
 
     def prestart(self) -> None:

@@ -18,16 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpu.device import find_devices
-from gpu.mesh import Mesh, MeshError, load_mesh
+from gpu.mesh import Mesh, MeshError, assemble
 from gpu.reference import silhouette_mask
 from gpu.scorer import BACKENDS
 from service.errors import ConfigError, ImageMismatchError, MeshFileError, MissingBlobError
 from service.imaging.background import Background, Sky, derive, known_pixels, learn
-from service.imaging.decode import ByteOrder, decode_frame, decode_frames
 from service.imaging.decode import Frame as Image
 from service.imaging.features import feature_spec
 from service.imaging.overlay import draw_overlay, encode_png, for_display
-from service.imaging.split import SplitFrame, split_frames
+from service.imaging.split import SplitFrame
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
@@ -51,6 +50,9 @@ from service.workers.base import (
     SmoothReport,
 )
 from service.workers.cache import Cache
+from service.workers.decode_process import DecodeProcess
+from service.workers.decoding import Decoder, InPlace
+from service.workers.limits import DecodeLimits
 from service.workers.observation import observe, remember
 from service.workers.scoring import Scorers, TimedScorer
 from service.workers.smoothing import belief_after, smooth_pass, with_rates
@@ -71,8 +73,8 @@ PACKAGES = (
 class Tracker:
     """Implements ``service.workers.base.Worker``."""
 
-    def __init__(self, *, max_pixels: int = 1 << 26, cached_models: int = 8) -> None:
-        self._max_pixels = max_pixels
+    def __init__(self, decoder: Decoder | None = None, *, cached_models: int = 8) -> None:
+        self._decoder = decoder or InPlace()
         self._meshes: Cache[Mesh] = Cache(cached_models)
         self._scorers = Scorers(cached_models)
         self._skies: Cache[Sky] = Cache(cached_models)
@@ -80,7 +82,7 @@ class Tracker:
 
     def prepare_model(self, job: ModelJob) -> ModelReport:
         """Load, check and describe a model file."""
-        mesh = _load(job.data, job.file_type)
+        mesh = self._load(job.data, job.file_type)
         found = read_joints(job.data, job.file_type, mesh, job.joints)
         same = model_symmetries(mesh, found.articulation)
         return ModelReport(
@@ -98,9 +100,7 @@ class Tracker:
     def learn_background(self, job: BackgroundJob) -> BackgroundReport:
         """Decode an image, or every frame of a file, and add it to the background."""
         background = None if job.background is None else Background.from_bytes(job.background)
-        for image in decode_frames(
-            job.body, job.media_type, max_pixels=self._max_pixels, ser_byte_order=job.config.camera.ser_byte_order
-        ):
+        for image in self._decoder.frames(job.body, job.media_type, job.config.camera.ser_byte_order):
             if background is not None:
                 _require_same(image, background.shape, background.bits)
             height, width = image.image.shape[:2]
@@ -110,18 +110,18 @@ class Tracker:
             if not known.any():
                 raise ConfigError("no pixel is left to learn the background from", field="query:box")
             background = learn(background, image.image, image.bits, spec, known)
-        assert background is not None, "decode_frames yields at least one frame"
+        assert background is not None, "a decoder yields at least one frame"
         height, width, channels = background.shape
         return BackgroundReport(background.to_bytes(), background.n_frames, height, width, channels, background.bits)
 
     def split(self, job: SplitJob) -> tuple[SplitFrame, ...]:
         """Every frame of a file as a file of its own."""
-        return split_frames(job.body, job.media_type, max_pixels=self._max_pixels, ser_byte_order=job.ser_byte_order)
+        return tuple(self._decoder.split(job.body, job.media_type, job.ser_byte_order))
 
     def track(self, job: FrameJob) -> FrameReport:
         """Decode a frame, measure it, and run one step of the filter."""
         began = time.perf_counter()
-        image = self._image(job.body, job.media_type, job.config.camera.ser_byte_order)
+        image = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
         likelihood = job.config.likelihood
         key = f"{job.background}:{likelihood.feature}:{likelihood.gradient_sigma_px}"
         sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
@@ -168,7 +168,7 @@ class Tracker:
 
     def overlay(self, job: OverlayJob) -> bytes:
         """PNG of the frame with the silhouette in blue, or of the frame alone."""
-        image = self._image(job.body, job.media_type, job.ser_byte_order)
+        image = self._decoder.frame(job.body, job.media_type, job.ser_byte_order)
         if not job.silhouette:
             return encode_png(for_display(image.image))
         mesh = self._mesh(job.model, job.file_type, job.blobs)
@@ -195,17 +195,28 @@ class Tracker:
         }
 
     def close(self) -> None:
-        """Release the device."""
+        """Release the device and the decoder."""
+        self._decoder.close()
         self._scorers.close()
         self._meshes.clear()
         self._skies.clear()
         self._twins.clear()
 
-    def _image(self, body: bytes, media_type: str, ser_byte_order: ByteOrder) -> Image:
-        return decode_frame(body, media_type, max_pixels=self._max_pixels, ser_byte_order=ser_byte_order)
-
     def _mesh(self, key: str, file_type: str, blobs: Mapping[str, bytes]) -> Mesh:
-        return self._meshes.get(key, lambda: _load(_blob(blobs, key), file_type))
+        return self._meshes.get(key, lambda: self._load(_blob(blobs, key), file_type))
+
+    def _load(self, data: bytes, file_type: str) -> Mesh:
+        try:
+            return assemble(self._decoder.parts(data, file_type))
+        except MeshError as error:
+            raise MeshFileError(str(error), field="file") from error
+
+
+def guarded(limits: DecodeLimits) -> Tracker:
+    """The tracker of a worker process: what clients send is decoded in a process of its own."""
+    decoder = DecodeProcess(limits)
+    decoder.prestart()
+    return Tracker(decoder)
 
 
 def draw_silhouette(
@@ -227,13 +238,6 @@ def _blob(blobs: Mapping[str, bytes], key: str) -> bytes:
     if key not in blobs:
         raise MissingBlobError.of([key])
     return blobs[key]
-
-
-def _load(data: bytes, file_type: str) -> Mesh:
-    try:
-        return load_mesh(data, file_type)
-    except MeshError as error:
-        raise MeshFileError(str(error), field="file") from error
 
 
 def _sky(config: SessionConfig, blob: bytes) -> Sky:

@@ -8,6 +8,7 @@ of three is colour, unless CTYPE3 speaks of time; any other is a sequence of fra
 from __future__ import annotations
 
 import io
+import re
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
@@ -21,22 +22,25 @@ from astropy.io import fits
 from service.errors import SkyposeError, TooLargeError
 from service.imaging.facts import FrameFacts
 from service.imaging.formats.fits_header import read_header_facts
-from service.imaging.frame import Frame, as_frame, require_size
+from service.imaging.frame import Frame, as_frame
 from service.imaging.headers import broken
+from service.imaging.limits import ImageLimits
 
 _GZIP = b"\x1f\x8b"
 _BYTES_PER_PIXEL = 8
 _HEADROOM = 1 << 24  # headers and tables beside the pixels
 _TOP_DOWN = "TOP-DOWN"
+_BLOCK = 2880
+_END = b"END".ljust(80)
 
 
-def read_fits(body: bytes, max_pixels: int) -> Sequence[Frame]:
+def read_fits(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
     """Every frame of the first image in the file. Raises ``ImageError``, ``TooLargeError``."""
-    with _first_image(body, max_pixels) as hdu:
+    with _first_image(body, limits) as hdu:
         header, shape = hdu.header, tuple(int(n) for n in hdu.shape)
         colour = _is_colour(shape, header)
         frames = _count(shape, colour)
-        require_size(frames, shape[-1], shape[-2], max_pixels)
+        limits.require_size(frames, shape[-1], shape[-2])
         data = np.asarray(hdu.data).reshape(frames, *shape[-3 if colour else -2 :])
         images = np.moveaxis(data, 1, -1) if colour else data
         if not _top_down(header):
@@ -45,25 +49,26 @@ def read_fits(body: bytes, max_pixels: int) -> Sequence[Frame]:
         return [as_frame(image, facts if k == 0 else _later(facts)) for k, image in enumerate(images)]
 
 
-def read_fits_facts(body: bytes, max_pixels: int) -> FrameFacts:
+def read_fits_facts(body: bytes, limits: ImageLimits) -> FrameFacts:
     """Time and pointing of the first frame, from the header alone. Raises as ``read_fits`` does."""
-    with _first_image(body, max_pixels) as hdu:
+    with _first_image(body, limits) as hdu:
         return _facts(hdu.header, tuple(int(n) for n in hdu.shape))
 
 
-def count_fits_frames(body: bytes, max_pixels: int) -> int:
+def count_fits_frames(body: bytes, limits: ImageLimits) -> int:
     """Frames of the first image, from the header alone. Raises as ``read_fits`` does."""
-    with _first_image(body, max_pixels) as hdu:
+    with _first_image(body, limits) as hdu:
         shape = tuple(int(n) for n in hdu.shape)
         return _count(shape, _is_colour(shape, hdu.header))
 
 
 @contextmanager
-def _first_image(body: bytes, max_pixels: int) -> Iterator[Any]:
+def _first_image(body: bytes, limits: ImageLimits) -> Iterator[Any]:
     """The first HDU that holds an image. Whatever astropy's parser raises is the file's fault."""
-    data = _inflated(body, max_pixels) if body.startswith(_GZIP) else body
+    data = _inflated(body, limits) if body.startswith(_GZIP) else body
     if not data.startswith(b"SIMPLE"):
         raise broken("the media type says FITS, but the body does not begin with SIMPLE")
+    _require_headers(data, limits)
     try:
         # Its warnings are of odd cards in the header; a file that is cut short is found out below.
         with warnings.catch_warnings(action="ignore"), fits.open(io.BytesIO(data), memmap=False) as hdus:
@@ -92,8 +97,18 @@ def _whole(hdus: Any, length: int) -> Iterator[Any]:
         index += 1
 
 
-def _inflated(body: bytes, max_pixels: int) -> bytes:
-    limit = max_pixels * _BYTES_PER_PIXEL + _HEADROOM
+def _require_headers(data: bytes, limits: ImageLimits) -> None:
+    """Raises ``TooLargeError`` where cards go on and on: each costs the parser more than its 80 bytes."""
+    for first in re.finditer(rb"SIMPLE  =|XTENSION=", data):
+        if first.start() % _BLOCK == 0:
+            end = data.find(_END, first.start(), first.start() + limits.header_bytes + len(_END))
+            left = len(data) - first.start()
+            if end < 0:
+                limits.require_header(left)
+
+
+def _inflated(body: bytes, limits: ImageLimits) -> bytes:
+    limit = limits.pixels * _BYTES_PER_PIXEL + _HEADROOM
     inflater = zlib.decompressobj(wbits=31)
     try:
         data = inflater.decompress(body, limit)

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.imaging.frame import Frame, as_frame, require_size
+from service.imaging.frame import Frame, as_frame
 from service.imaging.headers import broken
+from service.imaging.limits import ImageLimits
 
 _HEADER = struct.Struct("<11i")
 _TYPES = {
@@ -28,7 +29,7 @@ _TYPES = {
 }
 
 
-def read_imagebytes(body: bytes, max_pixels: int) -> Sequence[Frame]:
+def read_imagebytes(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
     """The image. Raises ``ImageError`` (also for a device's error message in its place), ``TooLargeError``.
 
     The type on the wire decides: a camera whose 16-bit pixels travel as 32-bit integers gives 16 bits as well.
@@ -43,7 +44,7 @@ def read_imagebytes(body: bytes, max_pixels: int) -> Sequence[Frame]:
         raise broken(f"ImageBytes: the camera reports error {error}: {message}")
     if kind not in _TYPES or rank not in (2, 3) or (rank == 3 and planes not in (1, 3)) or start < _HEADER.size:
         raise broken(f"ImageBytes: elements of type {kind} in {rank} dimensions with {planes} planes are unknown")
-    require_size(1, width, height, max_pixels)
+    limits.require_size(1, width, height)
     shape = (width, height) if rank == 2 else (width, height, planes)
     dtype = np.dtype(_TYPES[kind])
     data = body[start : start + dtype.itemsize * int(np.prod(shape, dtype=np.int64))]

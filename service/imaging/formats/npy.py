@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from service.imaging.frame import Frame, as_frame, require_size
+from service.imaging.frame import Frame, as_frame
 from service.imaging.headers import broken
+from service.imaging.limits import ImageLimits
 
 
 @dataclass(frozen=True)
@@ -25,10 +26,10 @@ class _Layout:
     shape: tuple[int, ...]
 
 
-def read_npy(body: bytes, max_pixels: int) -> Sequence[Frame]:
+def read_npy(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
     """Every frame. Raises ``ImageError`` (also for arrays of objects), ``TooLargeError``."""
     layout = _read_layout(body)
-    require_size(layout.frames, layout.width, layout.height, max_pixels)
+    limits.require_size(layout.frames, layout.width, layout.height)
     size = layout.dtype.itemsize * int(np.prod(layout.shape, dtype=np.int64))
     data = body[layout.start : layout.start + size]
     if len(data) < size:

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.facts import FrameFacts
-from service.imaging.frame import Frame, as_frame, require_size
+from service.imaging.frame import Frame, as_frame
 from service.imaging.headers import broken
+from service.imaging.limits import ImageLimits
 
 ByteOrder = Literal["auto", "little", "big"]
 
@@ -53,33 +54,30 @@ class _Header:
         return self.width * self.height * self.planes * (1 if self.depth <= 8 else 2)
 
 
-def read_ser(body: bytes, max_pixels: int, byte_order: ByteOrder = "auto") -> Sequence[Frame]:
+def read_ser(body: bytes, limits: ImageLimits, byte_order: ByteOrder = "auto") -> Sequence[Frame]:
     """Every frame, with its time where the trailer has one. Raises ``ImageError``, ``TooLargeError``."""
-    header = _read_header(body)
-    require_size(header.frames, header.width, header.height, max_pixels)
+    header = _read_header(body, limits)
     end = _HEADER.size + header.frames * header.frame_bytes
-    if end > len(body):
-        raise broken(f"SER: the file is cut short ({header.frames} frames are stated)")
     raw = np.frombuffer(body, np.uint8 if header.depth <= 8 else "<u2", (end - _HEADER.size) * 8 // _bits(header), 178)
     if header.depth > 8 and (byte_order == "big" or (byte_order == "auto" and _is_swapped(raw, header))):
         raw = raw.byteswap()
     stack = raw.reshape(header.frames, header.height, header.width, header.planes)
-    times = read_ser_times(body)
+    times = read_ser_times(body, limits)
     return [
         as_frame(_colours(image, header.colour), FrameFacts(time)) for image, time in zip(stack, times, strict=True)
     ]
 
 
-def read_ser_times(body: bytes) -> list[datetime | None]:
-    """UTC of every frame out of the trailer; None where it is missing or 0."""
-    header = _read_header(body)
+def read_ser_times(body: bytes, limits: ImageLimits) -> list[datetime | None]:
+    """UTC of every frame out of the trailer; None where it is missing or 0. Raises as ``read_ser`` does."""
+    header = _read_header(body, limits)
     start = _HEADER.size + header.frames * header.frame_bytes
     if start + 8 * header.frames > len(body):
         return [None] * header.frames
     return [_time(ticks) for ticks in struct.unpack_from(f"<{header.frames}q", body, start)]
 
 
-def _read_header(body: bytes) -> _Header:
+def _read_header(body: bytes, limits: ImageLimits) -> _Header:
     if len(body) < _HEADER.size:
         raise broken("SER: the file is shorter than its header")
     _, _, colour, _, width, height, depth, frames, *_ = _HEADER.unpack_from(body)
@@ -88,6 +86,9 @@ def _read_header(body: bytes) -> _Header:
         raise broken("the media type says SER, but the body does not begin with a SER signature")
     if colour not in (_MONO, _RGB, _BGR, *_BAYER) or not 1 <= depth <= 16 or min(width, height, frames) < 0:
         raise broken(f"SER: colour {colour} with {depth} bits in {frames} frames of {width} x {height} is unknown")
+    limits.require_size(frames, width, height)
+    if _HEADER.size + frames * header.frame_bytes > len(body):
+        raise broken(f"SER: the file is cut short ({frames} frames are stated)")
     return header
 
 

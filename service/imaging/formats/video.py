@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import tempfile
+import os
 from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.frame import Frame, as_frame, require_size
+from service.imaging.frame import Frame, as_frame
 from service.imaging.headers import broken
+from service.imaging.limits import ImageLimits
 
 _MATROSKA = b"\x1a\x45\xdf\xa3"
 
 
-def read_video(body: bytes, max_pixels: int) -> Sequence[Frame]:
+def read_video(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
     """Every frame; grey where all frames have three equal channels. Raises ``ImageError``, ``TooLargeError``.
 
     What the container states of its length is not trusted: frames are counted as they come. Only containers that hold
@@ -23,18 +24,19 @@ def read_video(body: bytes, max_pixels: int) -> Sequence[Frame]:
     """
     if not (body[:4] == b"RIFF" and body[8:12] == b"AVI ") and body[4:8] != b"ftyp" and body[:4] != _MATROSKA:
         raise broken("the media type says video, but the body is neither AVI nor MP4 nor Matroska")
-    with tempfile.NamedTemporaryFile(prefix="skypose-", suffix=".video") as file:
+    # In memory: a decoder that is ended in the middle leaves no file behind.
+    with os.fdopen(os.memfd_create("video"), "wb") as file:
         file.write(body)
         file.flush()
-        images = list(_images(file.name, max_pixels))
+        images = list(_images(f"/proc/self/fd/{file.fileno()}", limits))
     if not images:
         raise broken("the video has no frame that can be decoded")
     grey = all(np.array_equal(image[:, :, 0], image[:, :, k]) for image in images for k in (1, 2))
     return [as_frame(image[:, :, 0] if grey else image[:, :, ::-1]) for image in images]
 
 
-def _images(path: str, max_pixels: int) -> Iterator[NDArray[np.uint8]]:
-    capture = cv2.VideoCapture(path, cv2.CAP_FFMPEG)
+def _images(path: str, limits: ImageLimits) -> Iterator[NDArray[np.uint8]]:
+    capture = cv2.VideoCapture(path, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     try:
         width, height = (int(capture.get(name)) for name in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         if not capture.isOpened():
@@ -42,7 +44,7 @@ def _images(path: str, max_pixels: int) -> Iterator[NDArray[np.uint8]]:
         count = 0
         while capture.grab():
             count += 1
-            require_size(count, width, height, max_pixels)
+            limits.require_size(count, width, height)
             found, image = capture.retrieve()
             if not found or image.ndim != 3 or image.dtype != np.uint8:
                 raise broken(f"frame {count - 1} of the video cannot be decoded")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.errors import ImageError, TooLargeError
-from service.imaging.decode import decode_frame, decode_frames
+from service.imaging.decode import ImageLimits, decode_frame, decode_frames
 
 NPY, IMAGEBYTES = "application/x-npy", "application/imagebytes"
 NOISE = np.random.default_rng(6)
@@ -45,7 +45,7 @@ def test_npy_is_measured_before_it_is_read():
     with pytest.raises(ImageError, match="cut short"):
         decode_frame(body[:-1], NPY)
     with pytest.raises(TooLargeError):
-        decode_frame(body, NPY, max_pixels=99)
+        decode_frame(body, NPY, limits=ImageLimits(pixels=99))
     with pytest.raises(ImageError):
         decode_frame(b"not numpy", NPY)
 

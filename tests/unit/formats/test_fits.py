@@ -12,7 +12,7 @@ from astropy.io import fits
 from astropy.wcs import WCS
 
 from service.errors import ImageError, TooLargeError
-from service.imaging.decode import decode_frame, decode_frames, read_facts
+from service.imaging.decode import ImageLimits, decode_frame, decode_frames, read_facts
 
 FITS = "image/fits"
 NOISE = np.random.default_rng(5)
@@ -97,9 +97,9 @@ def test_limits_hold_before_anything_is_unpacked():
     with pytest.raises((TooLargeError, ImageError)):
         decode_frame(claimed, FITS)
     with pytest.raises(TooLargeError):
-        decode_frame(written(DEEP), FITS, max_pixels=1999)
+        decode_frame(written(DEEP), FITS, limits=ImageLimits(pixels=1999))
     with pytest.raises(TooLargeError, match="unpacks"):
-        decode_frame(gzip.compress(bytes(1 << 25)), FITS, max_pixels=10)
+        decode_frame(gzip.compress(bytes(1 << 25)), FITS, limits=ImageLimits(pixels=10))
 
 
 @pytest.mark.parametrize(

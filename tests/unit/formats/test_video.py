@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from service.errors import ImageError, TooLargeError
-from service.imaging.decode import decode_frame, decode_frames, read_facts
+from service.imaging.decode import ImageLimits, decode_frame, decode_frames, read_facts
 
 SER = "video/x-ser"
 START = datetime(2026, 11, 20, 3, 4, 5, 250_000, tzinfo=UTC)
@@ -79,7 +79,7 @@ def test_broken_ser_is_refused():
         with pytest.raises(ImageError):
             decode_frames(bad, SER)
     with pytest.raises(TooLargeError):
-        decode_frames(body, SER, max_pixels=100)
+        decode_frames(body, SER, limits=ImageLimits(pixels=100))
 
 
 def encoded(tmp_path, name: str, codec: str, images, colour: bool) -> bytes:
@@ -122,6 +122,6 @@ def test_what_is_no_video_is_refused(tmp_path):
         with pytest.raises(ImageError):
             decode_frames(bad, "video/avi")
     with pytest.raises(TooLargeError):
-        decode_frames(body, "video/avi", max_pixels=48 * 64 * 2)
+        decode_frames(body, "video/avi", limits=ImageLimits(pixels=48 * 64 * 2))
     with pytest.raises(ImageError, match="3 frames"):
         decode_frame(body, "video/avi")

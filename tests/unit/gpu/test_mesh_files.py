@@ -89,7 +89,7 @@ def test_a_sliver_on_a_straight_line_is_without_area():
         ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "draco"),
         ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 6}]}]}, "triangle fan"),
         ({"meshes": []}, "no faces"),
-        ({"accessors": []}, "cannot be read"),
+        ({"accessors": []}, "does not exist"),
         ({"nodes": [{"name": "empty"}]}, "no faces"),
     ],
 )

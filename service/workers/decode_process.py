@@ -1,0 +1,230 @@
+"""Decoding in a process that may die of it: limited in memory and time, replaced after every loss.
+
+The process is started ahead, stays for all jobs of its owner, and takes one at a time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from gpu.mesh_file import RawPart
+from service.errors import ImageError, InputError, MeshFileError, TooLargeError, every_error
+from service.imaging.decode import ByteOrder, Frame
+from service.imaging.facts import FrameFacts
+from service.imaging.split import SplitFrame
+from service.workers.decode_child import OUT_OF_MEMORY
+from service.workers.decode_wire import (
+    Reply,
+    receive_reply,
+    send,
+    unpack_facts,
+    unpack_frames,
+    unpack_parts,
+    unpack_split,
+)
+from service.workers.limits import DecodeLimits
+
+log = structlog.get_logger(__name__)
+_START = "import sys; from service.workers.decode_child import main; main(int(sys.argv[1]))"
+_START_TIMEOUT_S = 60.0
+_SOCKET_BYTES = 1 << 20
+_FIELDS = ("body", "file", "header:Content-Type")
+_FACTS = ("limit", "found", "setting", "supported")
+_REFUSALS = {kind.slug: kind for kind in every_error() if issubclass(kind, InputError)}
+
+
+class _LostError(Exception):
+    """The process ended, or had to be ended, in the middle of a job."""
+
+    def __init__(self, reason: str, status: int | None = None) -> None:
+        super().__init__(reason)
+        self.status = status
+
+
+@dataclass
+class _Child:
+    process: subprocess.Popen[bytes]
+    channel: socket.socket
+    ready: bool = False
+
+
+class DecodeProcess:
+    """Implements ``service.workers.decoding.Decoder``. Threads may share it: they take turns."""
+
+    def __init__(self, limits: DecodeLimits | None = None) -> None:
+        self.limits = limits or DecodeLimits()
+        self.losses = 0
+        self._child: _Child | None = None
+        self._turn = threading.Lock()
+
+    @property
+    def pid(self) -> int | None:
+        """Process id, or None while there is none."""
+        child = self._child
+        return None if child is None else child.process.pid
+
+    def prestart(self) -> None:
+        """Begin to bring the process up, without waiting."""
+        with self._turn:
+            self._begin()
+
+    def frame(self, body: bytes, media_type: str, ser_byte_order: ByteOrder = "auto") -> Frame:
+        """See ``Decoder``."""
+        return unpack_frames(self._call("frame", body, media_type, ser_byte_order))[0]
+
+    def frames(self, body: bytes, media_type: str, ser_byte_order: ByteOrder = "auto") -> tuple[Frame, ...]:
+        """See ``Decoder``."""
+        return unpack_frames(self._call("frames", body, media_type, ser_byte_order))
+
+    def split(self, body: bytes, media_type: str, ser_byte_order: ByteOrder = "auto") -> tuple[SplitFrame, ...]:
+        """See ``Decoder``."""
+        return unpack_split(self._call("split", body, media_type, ser_byte_order))
+
+    def facts(self, body: bytes, media_type: str) -> FrameFacts:
+        """See ``Decoder``."""
+        return unpack_facts(self._call("facts", body, media_type).value)
+
+    def count(self, body: bytes, media_type: str) -> int | None:
+        """See ``Decoder``."""
+        count: int | None = self._call("count", body, media_type).value
+        return count
+
+    def parts(self, data: bytes, file_type: str) -> list[RawPart]:
+        """See ``Decoder``."""
+        return unpack_parts(self._call("parts", data, file_type))
+
+    def close(self) -> None:
+        """End the process. Another call would start it again."""
+        with self._turn:
+            self._end()
+
+    def _call(self, method: str, body: bytes, *arguments: object) -> Reply:
+        """Run a job; where the process may be to blame, and not the file, once more in a new one."""
+        message = pickle.dumps((method, arguments), protocol=5)
+        with self._turn:
+            for last_try in (False, True):
+                try:
+                    return self._attempt(method, message, body)
+                except _LostError as loss:
+                    if last_try:
+                        raise self._ended(method, loss) from loss
+        raise AssertionError("unreachable")
+
+    def _ended(self, method: str, loss: _LostError) -> InputError:
+        if loss.status == OUT_OF_MEMORY:
+            most = self.limits.memory_bytes >> 20
+            detail = f"decoding takes more than {most} MiB of memory"
+            return TooLargeError(detail, field=_field(method), limit=most, setting="SKYPOSE_DECODE_MEMORY_MB")
+        kind = MeshFileError if method == "parts" else ImageError
+        return kind(f"cannot be decoded: the decoder ended on it ({loss})", field=_field(method))
+
+    def _attempt(self, method: str, message: bytes, body: bytes) -> Reply:
+        child = self._ready()
+        until = time.monotonic() + self.limits.timeout_s
+        try:
+            child.channel.settimeout(self.limits.timeout_s)
+            send(child.channel, message)
+            send(child.channel, body)
+            reply = receive_reply(child.channel, self.limits.memory_bytes, until)
+        except TimeoutError as error:
+            self._lose("too slow")
+            raise _too_slow(method, "SKYPOSE_DECODE_TIMEOUT_S", self.limits.timeout_s) from error
+        except (EOFError, OSError, ValueError) as error:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.process.wait(1.0)  # it closed its end first
+            status = child.process.poll()
+            reason = f"{type(error).__name__}, status {status}"
+            self._lose(reason)
+            if status == -signal.SIGXCPU:
+                raise _too_slow(method, "SKYPOSE_DECODE_CPU_S", self.limits.cpu_s) from error
+            raise _LostError(reason, status) from error
+        if isinstance(reply.value, dict) and "error" in reply.value:
+            raise _refusal(method, reply.value)
+        return reply
+
+    def _lose(self, reason: str) -> None:
+        self.losses += 1
+        log.warning("decoder lost", reason=reason, pid=self.pid)
+        self._end()
+        self._begin()  # the next job finds it ready, or nearly
+
+    def _begin(self) -> _Child:
+        """The process, just started if there was none."""
+        if self._child is None:
+            here, there = socket.socketpair()
+            for end in (here, there):
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
+            process = subprocess.Popen(
+                [sys.executable, "-c", _START, str(there.fileno())],
+                env=_environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(there.fileno(),),
+            )
+            there.close()  # so that the end of the process is the end of the stream
+            self._child = _Child(process, here)
+            with contextlib.suppress(OSError):  # it is gone already: the first job will say so
+                send(here, pickle.dumps(self.limits))
+        return self._child
+
+    def _ready(self) -> _Child:
+        child = self._begin()
+        if not child.ready:
+            try:
+                receive_reply(child.channel, 0, time.monotonic() + _START_TIMEOUT_S)
+            except (EOFError, OSError, ValueError) as error:
+                self._end()
+                raise _LostError(f"the decoder does not start: {type(error).__name__}") from error
+            child.ready = True
+        return child
+
+    def _end(self) -> None:
+        child, self._child = self._child, None
+        if child is not None:
+            child.channel.close()
+            child.process.kill()
+            child.process.wait()
+
+
+def _refusal(method: str, value: dict[str, Any]) -> InputError:
+    if "traceback" in value:
+        log.warning("decoder tripped", traceback=value["traceback"])
+    kind = _REFUSALS.get(str(value["error"]), InputError)
+    facts = {name: fact for name, fact in value.get("facts", {}).items() if name in _FACTS}
+    field = value.get("field")
+    return kind(str(value["detail"]), field=field if field in _FIELDS else _field(method), **facts)
+
+
+def _too_slow(method: str, setting: str, limit: float) -> TooLargeError:
+    detail = f"decoding takes longer than {limit:g} s"
+    return TooLargeError(detail, field=_field(method), limit=limit, setting=setting)
+
+
+def _field(method: str) -> str:
+    return "file" if method == "parts" else "body"
+
+
+def _environment() -> dict[str, str]:
+    """Nothing of ours but where the code is: what a decoder does not know it cannot give away."""
+    kept = {name: os.environ[name] for name in ("PATH", "LANG", "LC_ALL") if name in os.environ}
+    return {
+        **kept,
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MALLOC_ARENA_MAX": "2",
+        "OPENCV_LOG_LEVEL": "SILENT",
+        "OPENCV_FFMPEG_LOGLEVEL": "-8",
+    }
