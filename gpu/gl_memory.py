@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from typing import Protocol
 
 import moderngl
 import numpy as np
@@ -17,7 +18,19 @@ READ_PERSISTENT_COHERENT = 0x0001 | 0x0040 | 0x0080  # GL_MAP_READ_BIT | GL_MAP_
 CLIENT_STORAGE = 0x0200
 
 
-def has_buffer_storage(gl: moderngl.Context) -> bool:
+class OpenGL(Protocol):
+    """A context, or what is known of one."""
+
+    @property
+    def version_code(self) -> int:
+        """330 for OpenGL 3.3."""
+
+    @property
+    def extensions(self) -> Collection[str]:
+        """Their names."""
+
+
+def has_buffer_storage(gl: OpenGL) -> bool:
     """Whether the context can map a buffer for good (OpenGL 4.4 or the extension)."""
     return gl.version_code >= 440 or "GL_ARB_buffer_storage" in gl.extensions
 
@@ -49,9 +62,21 @@ class MappedBuffer:
         _gl("glDeleteBuffers", ctypes.c_int, ctypes.c_void_p)(1, ctypes.byref(self._name))
 
 
+def current_egl() -> tuple[int, int]:
+    """Handles of EGL's current context and of its display."""
+    library = _egl()
+    for name in ("eglGetCurrentContext", "eglGetCurrentDisplay"):
+        library[name].restype = ctypes.c_void_p
+    return library.eglGetCurrentContext() or 0, library.eglGetCurrentDisplay() or 0
+
+
+def _egl() -> ctypes.CDLL:
+    return ctypes.CDLL(ctypes.util.find_library("EGL") or "libEGL.so.1")
+
+
 def _gl(name: str, *arguments: type, result: type | None = None) -> Callable[..., int]:
     """An OpenGL function of the current context, by name."""
-    library = ctypes.CDLL(ctypes.util.find_library("EGL") or "libEGL.so.1")
+    library = _egl()
     library.eglGetProcAddress.restype = ctypes.c_void_p
     address = library.eglGetProcAddress(name.encode())
     if not address:

@@ -35,7 +35,8 @@ def choose_hand_over(
 ) -> HandOverChoice:
     """Decide from: pyopencl's ``have_gl()``, the device's kind and extensions, and OpenGL's buffer storage."""
     if cl_has_gl and SHARING_EXTENSION in device_extensions:
-        return HandOverChoice("gl_sharing", f"pyopencl has GL sharing and the device lists {SHARING_EXTENSION}")
+        able = f"pyopencl has GL sharing and the device lists {SHARING_EXTENSION}"
+        return HandOverChoice("gl_sharing", f"{able}; copy, if it refuses a context of EGL's")
     lacking = f"the device does not list {SHARING_EXTENSION}" if cl_has_gl else "pyopencl is built without GL sharing"
     if device_kind == "cpu" and gl_storage:
         return HandOverChoice("host_shared", f"{lacking}; OpenCL runs on the CPU, and OpenGL can map a buffer for good")

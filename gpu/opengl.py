@@ -12,7 +12,7 @@ import pyopencl as cl
 from gpu.atlas import Bounds, atlas_size
 from gpu.device import DeviceReport, open_device
 from gpu.errors import DeviceError, ImageSizeError
-from gpu.gl_memory import has_buffer_storage
+from gpu.gl_memory import current_egl, has_buffer_storage
 from gpu.interop import (
     CopyHandOver,
     GlSharingHandOver,
@@ -27,6 +27,8 @@ from gpu.program import device_errors
 from gpu.reducer import Reducer
 from gpu.renderer import Renderer, open_gl
 
+GL_CONTEXT, EGL_DISPLAY = 0x2008, 0x2009  # CL_GL_CONTEXT_KHR, CL_EGL_DISPLAY_KHR: pyopencl names them if built with GL
+
 
 class OpenGLScorer(LoopingScorer):
     """Scores with OpenGL and OpenCL. Owned, used and closed by one thread.
@@ -40,12 +42,10 @@ class OpenGLScorer(LoopingScorer):
             self._gl = open_gl()
             self._renderer = Renderer(self._gl, mesh)
             stack.callback(self._renderer.release)
-            self.hand_over = describe_hand_over(self._gl, report)
-            if hand_over is not None:
-                self.hand_over = HandOverChoice(hand_over, "asked for")
+            self.hand_over, context = agree(self._gl, report, hand_over)
             self.name = f"opengl:{self._gl.info['GL_RENDERER']}:{self.hand_over.name}:{report.name}"
             with device_errors(self.name):
-                self._queue = cl.CommandQueue(_context(report, self.hand_over.name))
+                self._queue = cl.CommandQueue(context)
                 self._reducer = Reducer(self._queue)
             self._bounds = Bounds(mesh)
             self._lent: tuple[int, HandOver] | None = None
@@ -96,9 +96,21 @@ class OpenGLScorer(LoopingScorer):
         return CopyHandOver(self._queue, size)
 
 
-def describe_hand_over(gl: moderngl.Context, report: DeviceReport) -> HandOverChoice:
-    """Which hand-over this OpenGL and this device get, and why."""
-    return choose_hand_over(cl.have_gl(), report.kind, report.extensions, has_buffer_storage(gl))
+def agree(gl: moderngl.Context, report: DeviceReport, wanted: str | None) -> tuple[HandOverChoice, cl.Context]:
+    """The hand-over that is ``wanted``, or the best one, and a context for it.
+
+    A device that can share may still refuse to share with a context of EGL's (NVIDIA's knows GLX only): then ``copy``.
+    Raises ``DeviceError`` where it refuses and sharing is wanted.
+    """
+    if wanted is not None:
+        return HandOverChoice(wanted, "asked for"), _context(report, wanted)
+    choice = choose_hand_over(cl.have_gl(), report.kind, report.extensions, has_buffer_storage(gl))
+    try:
+        return choice, _context(report, choice.name)
+    except DeviceError as error:
+        if choice.name != "gl_sharing":
+            raise
+        return HandOverChoice("copy", str(error)), _context(report, "copy")
 
 
 def _context(report: DeviceReport, hand_over: str) -> cl.Context:
@@ -106,10 +118,9 @@ def _context(report: DeviceReport, hand_over: str) -> cl.Context:
     device = open_device(report)
     if hand_over != "gl_sharing":
         return cl.Context([device])
-    from pyopencl.tools import get_gl_sharing_context_properties
-
-    properties = [(cl.context_properties.PLATFORM, device.platform), *get_gl_sharing_context_properties()]
+    context, display = current_egl()
+    properties = [(cl.context_properties.PLATFORM, device.platform), (GL_CONTEXT, context), (EGL_DISPLAY, display)]
     try:
         return cl.Context(devices=[device], properties=properties)  # type: ignore[arg-type]  # its stub
     except cl.Error as error:
-        raise DeviceError(f"{report.name} refuses to share with this OpenGL context: {error}") from error
+        raise DeviceError(f"{report.name} refuses to share with a context of EGL's: {error}") from error

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gpu.device import find_devices
 from gpu.mesh import Mesh, MeshError, assemble
+from gpu.opengl_probe import expected_hand_over, find_opengl
 from gpu.reference import silhouette_mask
 from gpu.scorer import BACKENDS
 from service.errors import ConfigError, ImageMismatchError, MeshFileError, MissingBlobError
@@ -186,10 +187,11 @@ class Tracker:
         return smooth_pass(job)
 
     def describe(self) -> Mapping[str, Any]:
-        """Devices, backends of the scorer and versions."""
+        """Devices, backends of the scorer, how OpenGL would hand over to OpenCL, and versions."""
         return {
             "backend": "auto",  # of sessions that name none
             "backends": list(BACKENDS),
+            "hand_over": {**asdict(expected_hand_over()), "opengl": find_opengl().renderer or None},
             "devices": [asdict(report) for report in find_devices()],
             "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         }

@@ -1,14 +1,20 @@
 """OpenGL silhouettes against the reference, and how they are handed to OpenCL."""
 
+from dataclasses import replace
+
 import numpy as np
+import pyopencl as cl
 import pytest
 from gpu_cases import SHAPE, a_map, box, mesh_of, shared_mesh, soup, sphere, transforms
 
+import gpu.opengl
+import gpu.opengl_probe
 from gpu.atlas import Bounds, atlas_size
-from gpu.device import find_devices
+from gpu.device import DeviceReport, find_devices
 from gpu.errors import DeviceError, ImageSizeError
-from gpu.interop import choose_hand_over
-from gpu.opengl import OpenGLScorer
+from gpu.interop import GlSharingHandOver, choose_hand_over
+from gpu.opengl import OpenGLScorer, agree
+from gpu.opengl_probe import OpenGLReport, expected_hand_over, find_opengl, hand_over_between
 from gpu.reference import silhouette_mask
 from gpu.renderer import open_gl
 
@@ -127,6 +133,108 @@ def test_the_hand_over_is_decided_not_tried(cl_has_gl, kind, extensions, storage
     choice = choose_hand_over(cl_has_gl, kind, extensions, storage)
     assert choice.name == expected
     assert reason in choice.reason
+
+
+@pytest.fixture
+def sharing_device(monkeypatch):
+    """A usable device that says it shares, and a pyopencl that says it can."""
+    usable = [report for report in find_devices() if report.rejected is None]
+    if not usable:
+        pytest.skip("no OpenCL device answers")
+    monkeypatch.setattr(cl, "have_gl", lambda: True)
+    return replace(usable[0], extensions=("cl_khr_gl_sharing",))
+
+
+@pytest.fixture
+def gl():
+    try:
+        context = open_gl()
+    except DeviceError as error:
+        pytest.skip(str(error))
+    yield context
+    context.release()
+
+
+def test_a_device_that_refuses_to_share_gets_copies(gl, sharing_device, monkeypatch):
+    plain = gpu.opengl._context
+
+    def refusing(report, hand_over):
+        if hand_over == "gl_sharing":
+            raise DeviceError(f"{report.name} refuses")
+        return plain(report, hand_over)
+
+    monkeypatch.setattr(gpu.opengl, "_context", refusing)
+    choice, context = agree(gl, sharing_device, None)
+    assert (choice.name, choice.reason) == ("copy", f"{sharing_device.name} refuses")
+    assert context.devices
+    with pytest.raises(DeviceError, match="refuses"):
+        agree(gl, sharing_device, "gl_sharing")
+
+
+def test_what_is_shared_is_acquired_and_given_back_for_every_batch(sharing_device, monkeypatch):
+    """With a stand-in for the driver: what OpenCL acquires is what OpenGL's buffer holds at that moment."""
+    lent, log = {}, []
+
+    def acquire(queue, buffers):
+        log.append("acquired")
+        (scorer,) = lent.values()
+        cl.enqueue_copy(queue, buffers[0], np.frombuffer(scorer._lent[1]._pixels.read(), np.uint8))
+
+    plain = gpu.opengl._context
+    monkeypatch.setattr(gpu.opengl, "_context", lambda report, hand_over: plain(report, "copy"))
+    monkeypatch.setattr(GlSharingHandOver, "__init__", standing_in)
+    monkeypatch.setattr(cl, "enqueue_acquire_gl_objects", acquire, raising=False)
+    monkeypatch.setattr(cl, "enqueue_release_gl_objects", lambda *_: log.append("released"), raising=False)
+    rng = np.random.default_rng(27)
+    mesh = mesh_of(sphere(8))
+    poses, values = transforms(rng, mesh, 40, 400.0, (700, 700)), a_map(rng, (700, 700))
+    try:
+        lent["scorer"] = OpenGLScorer(mesh, sharing_device)
+    except DeviceError as error:
+        pytest.skip(str(error))
+    copying = OpenGLScorer(mesh, sharing_device, "copy")
+    assert lent["scorer"].hand_over.name == "gl_sharing"
+    assert np.array_equal(lent["scorer"].score(poses, values), copying.score(poses, values))
+    assert len(log) >= 4
+    assert log == ["acquired", "released"] * (len(log) // 2)
+    lent["scorer"].close()
+    copying.close()
+
+
+def standing_in(self, queue, gl, size):
+    """``GlSharingHandOver.__init__`` with a buffer of OpenCL's own in the place of ``cl.GLBuffer``."""
+    self._queue, self._gl = queue, gl
+    self._pixels = gl.buffer(reserve=size)
+    self._buffer = cl.Buffer(queue.context, cl.mem_flags.READ_ONLY, size)
+
+
+@pytest.mark.parametrize(
+    ("script", "expected", "reason"),
+    [
+        ("print('[\"soft\", 450, []]')", None, ""),
+        ("raise Exception('requested platform is not there')", "none", "requested platform"),
+        ("import os; os.kill(os.getpid(), 9)", "none", "by signal 9"),
+    ],
+)
+def test_opengl_is_looked_at_in_a_process_of_its_own(monkeypatch, script, expected, reason):
+    monkeypatch.setattr(gpu.opengl_probe, "PROBE", script)
+    found = find_opengl.__wrapped__()
+    assert reason in (found.rejected or "")
+    device = DeviceReport("P", "D", "OpenCL 3", "cpu", None, (0, 0))
+    choice = hand_over_between(found, device)
+    assert choice.name == (expected or "host_shared")
+
+
+def test_sharing_is_expected_of_a_device_that_says_so(monkeypatch):
+    monkeypatch.setattr(cl, "have_gl", lambda: True)
+    gpu_report = DeviceReport("P", "D", "OpenCL 3", "gpu", None, (0, 0), ("cl_khr_gl_sharing",))
+    assert hand_over_between(OpenGLReport("R", 460), gpu_report).name == "gl_sharing"
+    assert hand_over_between(OpenGLReport("R", 460), replace(gpu_report, extensions=())).name == "copy"
+
+
+def test_without_a_device_nothing_is_handed_over(monkeypatch):
+    monkeypatch.setattr(gpu.opengl_probe, "find_devices", lambda: ())
+    assert expected_hand_over().name == "none"
 
 
 def test_tiles_hold_what_they_show():

@@ -153,6 +153,13 @@ def test_a_named_backend_without_a_device_is_refused(demo, tracker, monkeypatch)
     assert caught.value.field == "filter.backend"
 
 
+def test_the_description_says_how_opengl_would_hand_over(tracker, device):
+    told = tracker.describe()
+    assert told["hand_over"]["name"] in ("gl_sharing", "host_shared", "copy", "none")
+    assert told["hand_over"]["reason"]
+    assert told["backends"] == list(BACKENDS)
+
+
 def test_an_image_larger_than_the_scorer_takes_says_the_limit(demo, tracker, device, monkeypatch):
     monkeypatch.setattr("gpu.outline.LARGEST_SIDE", SIZE[0] - 1)
     with pytest.raises(TooLargeError) as caught:
