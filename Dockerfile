@@ -42,4 +42,5 @@ VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=5s --start-period=60s --retries=3 \
   CMD ["python3", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/readyz', timeout=4)"]
+# Others can reach 0.0.0.0, so it starts only with a key, an identity provider, or SKYPOSE_AUTH=off (docs/security.md).
 CMD ["skypose", "serve", "--host", "0.0.0.0", "--port", "8000", "--data", "/data"]

@@ -13,6 +13,9 @@
     │   ├── ConfigError                   422  unknown field, or a value outside its limits
     │   ├── CheckpointError               422  no checkpoint, or of a format this release cannot read
     │   └── IdempotencyKeyError           422  the key was used with other content
+    ├── UnauthorizedError                 401  no credential, or one that is not good
+    ├── ForbiddenError                    403  the credential may not do this
+    │   └── ForeignOriginError            403  a page of another site, or another name for this service
     ├── NotFoundError                     404  unknown model, session, estimate, ...
     ├── GoneError                         410  it was here and is no longer kept
     ├── ConflictError                     409  the resource is not in a state for this
@@ -23,6 +26,9 @@
     │   └── BackendMissingError           409  the scorer's backend that the session names is not to be had here
     ├── BusyError                         503  try again after ``retry_after_s``
     │   ├── InboxFullError                429  this session has frames enough waiting
+    │   ├── RateLimitedError              429  this key did too much in too short a time
+    │   ├── QuotaExceededError            429  this tenant has as much as it may have
+    │   ├── IdentityProviderError         503  the identity provider's keys cannot be had
     │   ├── WorkerFailedError             503  the worker died or hung, also on the second try
     │   ├── ScorerFailedError             503  the scorer's device failed during a frame
     │   ├── StorageError                  503  the database refused a write (disk full, I/O error)
@@ -125,6 +131,24 @@ class IdempotencyKeyError(InputError):
     slug, title = "idempotency-key-reused", "Idempotency key used with other content"
 
 
+class UnauthorizedError(SkyposeError):
+    """No credential, or one that is not good (any more)."""
+
+    slug, title, status = "unauthorized", "Not authenticated", 401
+
+
+class ForbiddenError(SkyposeError):
+    """The credential may not do this; ``needs`` says what could."""
+
+    slug, title, status = "forbidden", "Not allowed", 403
+
+
+class ForeignOriginError(ForbiddenError):
+    """A page of another site, or another name for this service; ``setting`` says where to allow it."""
+
+    slug, title = "foreign-origin", "Foreign origin"
+
+
 class NotFoundError(SkyposeError):
     """Unknown model, session, estimate or submission."""
 
@@ -184,6 +208,26 @@ class InboxFullError(BusyError):
     """This session has frames enough waiting; ``limit`` says how many."""
 
     slug, title, status = "inbox-full", "Too many frames waiting", 429
+
+
+class RateLimitedError(BusyError):
+    """This key did too much in too short a time; ``setting`` says of what, Retry-After how long to wait."""
+
+    slug, title, status = "rate-limited", "Too much at once", 429
+
+
+class QuotaExceededError(BusyError):
+    """This tenant has as much as it may have; ``setting`` says of what."""
+
+    slug, title, status = "quota-exceeded", "Quota exceeded", 429
+    retry_after_s = 60
+
+
+class IdentityProviderError(BusyError):
+    """The identity provider's keys cannot be had."""
+
+    slug, title = "identity-provider", "Identity provider not reached"
+    retry_after_s = 30
 
 
 class WorkerFailedError(BusyError):

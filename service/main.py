@@ -12,14 +12,24 @@ from pathlib import Path
 
 import structlog
 from fastapi import FastAPI
+from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 
-from service.api import checkpoint, estimates, frames, health, models, problems, sessions, stream
+from service.access.audit import Audit
+from service.access.gate import Gate
+from service.access.keys import Keys
+from service.access.limits import Limits
+from service.access.oidc import open_oidc
+from service.access.tickets import Tickets
+from service.api import access, checkpoint, estimates, frames, health, models, problems, sessions, stream
 from service.api.bodies import BodyLimits
+from service.api.description import DescribedApi
+from service.api.guard import Guard, page_policies
 from service.api.observe import Observe
 from service.api.services import Services
 from service.api.submissions import Submissions
+from service.errors import StorageError
 from service.metrics import Metrics
 from service.sessions.admission import Admission
 from service.sessions.archive import Archive
@@ -31,7 +41,7 @@ from service.sessions.registry import Registry
 from service.sessions.session import Rooms
 from service.sessions.status import Status
 from service.settings import MEBIBYTE, Settings
-from service.store.base import Retention
+from service.store.base import Quotas, Retention
 from service.store.database import Database
 from service.workers.engine import Engine, Transport
 from service.workers.inspector import Inspector
@@ -55,7 +65,7 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     database = Database(settings.data_dir, settings.reader_threads)
     inspector = Inspector(limits)
     services = _build(settings, engine, database, inspector)
-    app = FastAPI(
+    app = DescribedApi(
         title="skypose",
         version=health.release(),
         summary="Spacecraft pose from telescope video, by a particle filter on silhouettes",
@@ -65,9 +75,11 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     )
     app.state.services = services
     problems.install(app)
-    for room in (models, sessions, frames, estimates, checkpoint, stream, health):
+    for room in (models, sessions, frames, estimates, checkpoint, stream, access, health):
         app.include_router(room.router)
     app.add_middleware(BodyLimits, settings=settings)
+    app.add_middleware(Guard, pages=page_policies(VIEWER, _docs_html()), max_calls=settings.max_calls)
+    _allow_origins(app, settings.allowed_origins.split())
     app.add_middleware(Observe)
     _serve_viewer(app)
     return app
@@ -81,11 +93,16 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         max_lag=settings.stream_max_lag_events,
         heartbeat_s=settings.stream_heartbeat_s,
         max_watchers=settings.max_streams,
+        quota=settings.quota_streams,
     )
     retention = Retention(settings.keep_frame_bodies, settings.keep_particle_sets, settings.keep_particle_every)
-    library = Library(database, engine)
+    quotas = Quotas(settings.quota_sessions, settings.quota_models, settings.quota_particles)
+    library = Library(database, engine, quotas)
     rooms = Rooms(engine, inspector, database, hub, metrics, retention, settings.session_inbox_frames)
-    registry = Registry(rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions)
+    registry = Registry(
+        rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions, quotas=quotas
+    )
+    keys, tickets = Keys(database, settings.credential_cache_s), Tickets(settings.ticket_s)
     return Services(
         settings=settings,
         metrics=metrics,
@@ -98,6 +115,11 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         status=Status(database, engine),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),
         submissions=Submissions(),
+        gate=Gate(settings, keys, open_oidc(settings), tickets),
+        keys=keys,
+        tickets=tickets,
+        limits=Limits(settings),
+        audit=Audit(database, settings.audit_days, settings.audit_max_entries),
         started=datetime.now(UTC),
     )
 
@@ -109,6 +131,8 @@ async def _lifespan(
     async with contextlib.AsyncExitStack() as stack:
         await database.open()
         stack.push_async_callback(database.close)
+        await services.gate.require_credentials()
+        stack.push_async_callback(services.audit.store, final=True)
         stack.push_async_callback(engine.transport.close)
         stack.callback(inspector.close)
         await engine.transport.start()
@@ -134,12 +158,32 @@ async def _keep_house(services: Services, engine: Engine) -> None:
         metrics.waiting_bytes.set(services.admission.size)
         metrics.watchers.set(services.hub.watchers)
         metrics.worker_restarts.set(engine.transport.restarts)
+        await _note_callers(services)
+
+
+async def _note_callers(services: Services) -> None:
+    try:
+        await services.audit.store()
+        await services.keys.note_use()
+    except StorageError as error:
+        log.warning("audit log or use of keys not stored; tried again", error=error.detail)
 
 
 async def _cancel(task: asyncio.Task[None]) -> None:
     task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await task
+
+
+def _docs_html() -> str:
+    return bytes(health.docs_page().body).decode()
+
+
+def _allow_origins(app: FastAPI, origins: list[str]) -> None:
+    """Let pages of other sites read the answers, where the settings name them."""
+    if origins:
+        headers = ["Authorization", "Content-Type", "Idempotency-Key", "Prefer", "Last-Event-ID"]
+        app.add_middleware(CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=headers)
 
 
 def _serve_viewer(app: FastAPI) -> None:

@@ -5,6 +5,7 @@ What a session can choose is not here but in ``service.inference.params``, store
 
 from __future__ import annotations
 
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -106,3 +107,62 @@ class Settings(BaseSettings):
 
     reader_threads: Positive = 4
     """Threads that read the database."""
+
+    auth: Literal["auto", "required", "off"] = "auto"
+    """Whether calls need a key: `auto` not on a loopback address, `required` always, `off` never."""
+    bootstrap_key_file: Path | None = None
+    """File whose content (32 characters or more) is a key of the role `admin`, tenant `default`."""
+    credential_cache_s: Annotated[float, Field(ge=0, le=300)] = 5.0
+    """A credential found good is not looked up again for so long; so long a revoked key may still work."""
+    ticket_s: Annotated[float, Field(gt=0, le=600)] = 30.0
+    """How long a ticket for a browser's stream is good."""
+    allowed_origins: str = ""
+    """Origins of other sites whose pages may call, separated by spaces: `https://dome.example.org`."""
+    allowed_hosts: str = ""
+    """Names, beside IP addresses and `localhost`, by which it may be called without a key; spaces between, `*` any."""
+    oidc_issuer: str | None = None
+    """`iss` of the identity provider whose tokens are taken. With it go the next two."""
+    oidc_audience: str | None = None
+    """`aud` that its tokens must have."""
+    oidc_jwks: str | None = None
+    """The provider's public keys: a file, or an `https://` address."""
+    oidc_jwks_cache_s: PositiveSeconds = 3600.0
+    """How long those keys are kept before they are fetched again."""
+    oidc_tenant_claim: str = "tenant"
+    """Claim that names the tenant; a path such as `skypose.tenant` goes into objects."""
+    oidc_role_claim: str = "role"
+    """Claim that names the role, or a list with it; a path goes into objects."""
+
+    rate_calls_per_s: Annotated[float, Field(ge=0)] = 2000.0
+    """Calls of one key in a second; more are answered 429. 0: any number."""
+    rate_megabytes_per_s: Annotated[float, Field(ge=0)] = 1000.0
+    """MiB of request bodies of one key in a second; more are answered 429. 0: any."""
+    rate_megapixels_per_s: Annotated[float, Field(ge=0)] = 2000.0
+    """Millions of pixels of one key's frames in a second; more are answered 429. 0: any."""
+    quota_sessions: Annotated[int, Field(ge=0)] = 10_000
+    """Sessions of one tenant; one more is answered 429. 0: any number."""
+    quota_models: Annotated[int, Field(ge=0)] = 1000
+    """Models of one tenant; one more is answered 429. 0: any number."""
+    quota_particles: Annotated[int, Field(ge=0)] = 100_000_000
+    """Particles of all sessions of one tenant together; more are answered 429. 0: any number."""
+    quota_streams: Annotated[int, Field(ge=0)] = 256
+    """Watchers of one tenant at once; one more is answered 429. 0: any number."""
+    max_calls: Positive = 1024
+    """Calls under way at once, streams apart; one more is answered 503."""
+
+    audit_days: Positive = 90
+    """Entries of the audit log are kept so many days."""
+    audit_max_entries: Positive = 100_000
+    """Most entries of the audit log; the oldest go first."""
+
+    @property
+    def needs_credential(self) -> bool:
+        """Whether calls must show a credential: always, never, or wherever others than this machine can reach it."""
+        return self.auth == "required" or (self.auth == "auto" and not _is_loopback(self.host))
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:  # a name
+        return host.lower() == "localhost"

@@ -60,7 +60,7 @@ async def running(app: FastAPI) -> AsyncIterator[Api]:
     """The application within its lifespan, without a server."""
     async with app.router.lifespan_context(app):
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
-        async with httpx.AsyncClient(transport=transport, base_url="http://test", timeout=60) as http:
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1", timeout=60) as http:
             yield Api(http, app)
 
 

@@ -8,6 +8,7 @@ import orjson
 import structlog
 from starlette.responses import StreamingResponse
 
+from service.access.principal import Principal, SessionKey
 from service.api.problems import problem_document
 from service.api.services import Services
 from service.errors import InputError, SkyposeError
@@ -17,13 +18,25 @@ NDJSON = "application/x-ndjson"
 log = structlog.get_logger(__name__)
 
 
-async def stream_batch(services: Services, session_id: str, whole: FrameIn, in_background: bool) -> StreamingResponse:
+async def stream_batch(
+    services: Services, session: SessionKey, caller: Principal, whole: FrameIn, in_background: bool
+) -> StreamingResponse:
     """Raises what the first frame is refused for; a later refusal is the last line, as a problem document."""
     if in_background:
         raise InputError("a file of several frames is answered as it is tracked", field="header:Prefer")
-    answers = services.batches.track(session_id, whole)
+    answers = _charged(services, session, caller, services.batches.track(session, whole))
     first = await anext(answers)
     return StreamingResponse(_lines(first, answers), media_type=NDJSON)
+
+
+async def _charged(
+    services: Services, session: SessionKey, caller: Principal, answers: AsyncIterator[Answer]
+) -> AsyncIterator[Answer]:
+    """Every frame counts as one sent singly; a debt is for the next call to wait for."""
+    async for answer in answers:
+        owner = await services.registry.get(session)
+        services.limits.take(caller, "pixels", owner.frame_pixels)
+        yield answer
 
 
 async def _lines(first: Answer, answers: AsyncIterator[Answer]) -> AsyncIterator[bytes]:

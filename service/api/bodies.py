@@ -11,8 +11,10 @@ from pydantic import BaseModel, ValidationError
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.access.principal import Principal
+from service.api.auth import PRINCIPAL
 from service.api.problems import problem_response
-from service.api.services import services_of
+from service.api.services import Services, services_of
 from service.errors import ConfigError, InputError, SkyposeError, TooLargeError, UnsupportedMediaTypeError
 from service.settings import MEBIBYTE, Settings
 
@@ -39,12 +41,15 @@ class BodyLimits:
             await problem_response(error)(scope, receive, send)
             return
         name, limit = self._limit(scope["path"])
-        with services_of(Request(scope)).admission.hold() as hold:
+        services = services_of(Request(scope))
+        with services.admission.hold() as hold:
 
             async def counted() -> Message:
                 message = await receive()
                 size = len(message.get("body", b""))
                 try:
+                    if size:
+                        _charge(services, scope, size, first=hold.size == 0)
                     if hold.size + size > limit:
                         raise _too_large(name, limit)
                     hold.grow(size)
@@ -73,6 +78,15 @@ class BodyLimits:
         if last == "background" or "/frames" in path:
             return "SKYPOSE_MAX_FRAME_MB", settings.max_frame_mb * MEBIBYTE
         return "SKYPOSE_MAX_JSON_KB", settings.max_json_kb * 1024
+
+
+def _charge(services: Services, scope: Scope, size: int, *, first: bool) -> None:
+    """Count bytes for the caller; whoever is in debt is refused at the first, not in the middle."""
+    caller: Principal | None = scope.get("state", {}).get(PRINCIPAL)
+    if caller is not None:
+        if first:
+            services.limits.check(caller, "bytes")
+        services.limits.take(caller, "bytes", size)
 
 
 def _too_large(setting: str, limit: int) -> TooLargeError:

@@ -7,6 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from service.api import schemas
+from service.api.auth import Operator, ReadSession
 from service.api.bodies import read_body
 from service.api.paging import problems
 from service.api.services import ServicesDep
@@ -17,9 +18,9 @@ _BODY = {"requestBody": {"required": True, "content": {MEDIA_TYPE: {"schema": {"
 
 
 @router.get("", response_class=Response, responses={200: {"content": {MEDIA_TYPE: {}}}, **problems(404)})
-async def read_checkpoint(session_id: str, services: ServicesDep) -> Response:
+async def read_checkpoint(session_id: str, session: ReadSession, services: ServicesDep) -> Response:
     """The session as one portable blob: model, configuration, background, particles, all estimates."""
-    blob = await services.checkpoints.get(session_id)
+    blob = await services.checkpoints.get(session)
     name = f'attachment; filename="{session_id}.skypose"'
     return Response(blob, media_type=MEDIA_TYPE, headers={"Content-Disposition": name})
 
@@ -35,11 +36,11 @@ async def read_checkpoint(session_id: str, services: ServicesDep) -> Response:
     openapi_extra=_BODY,
 )
 async def write_checkpoint(
-    session_id: str, request: Request, response: Response, services: ServicesDep
+    session_id: str, request: Request, response: Response, caller: Operator, services: ServicesDep
 ) -> dict[str, Any]:
     """Take a session in from another server; it goes on here with the next frame."""
     body, _ = await read_body(request)
-    session, new = await services.checkpoints.put(session_id, body)
+    session, new = await services.checkpoints.put(caller.tenant, session_id, body)
     response.status_code = 201 if new else 200
     response.headers["Location"] = f"/v1/sessions/{session_id}"
     return session

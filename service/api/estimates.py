@@ -12,6 +12,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.api import schemas
+from service.api.auth import ReadSession
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.exports.formats import FORMATS
@@ -40,6 +41,7 @@ class ExportQuery(BaseModel):
 @router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422, 503))
 async def list_estimates(
     session_id: str,
+    session: ReadSession,
     services: ServicesDep,
     after: Annotated[int, Query(ge=-1, le=2**53, description="Frames after this index")] = -1,
     limit: Annotated[int, Query(ge=1)] = 100,
@@ -52,21 +54,21 @@ async def list_estimates(
     """
     limit = page_limit(limit, services.settings)
     read = services.archive.smoothed if smoothed else services.archive.estimates
-    found, cursor = await read(session_id, after, limit)
+    found, cursor = await read(session, after, limit)
     following = next_page(f"/v1/sessions/{session_id}/estimates", cursor, limit, "&smoothed=true" if smoothed else "")
     return page_response("estimates", found, following)
 
 
 @router.get("/estimates/latest", response_model=schemas.Estimate, responses=problems(404))
-async def latest_estimate(session_id: str, services: ServicesDep) -> Response:
+async def latest_estimate(session: ReadSession, services: ServicesDep) -> Response:
     """The newest estimate."""
-    return _json(await services.archive.estimate(session_id, None))
+    return _json(await services.archive.estimate(session, None))
 
 
 @router.get("/estimates/{index}", response_model=schemas.Estimate, responses=problems(404, 422))
-async def read_estimate(session_id: str, index: Index, services: ServicesDep) -> Response:
+async def read_estimate(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The estimate of one frame."""
-    return _json(await services.archive.estimate(session_id, index))
+    return _json(await services.archive.estimate(session, index))
 
 
 @router.get(
@@ -74,9 +76,9 @@ async def read_estimate(session_id: str, index: Index, services: ServicesDep) ->
     response_class=Response,
     responses={200: {"content": {"image/png": {}}}, **problems(404, 410, 422, 503)},
 )
-async def read_overlay(session_id: str, index: Index, services: ServicesDep) -> Response:
+async def read_overlay(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame with the best silhouette in blue (the paper's Table 1)."""
-    image = await services.archive.picture(session_id, index, silhouette=True)
+    image = await services.archive.picture(session, index, silhouette=True)
     return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
 
 
@@ -85,9 +87,9 @@ async def read_overlay(session_id: str, index: Index, services: ServicesDep) -> 
     response_class=Response,
     responses={200: {"content": {"image/png": {}}}, **problems(404, 410, 422, 503)},
 )
-async def read_picture(session_id: str, index: Index, services: ServicesDep) -> Response:
+async def read_picture(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame alone, 8 bits, stretched where people would see nothing otherwise."""
-    image = await services.archive.picture(session_id, index, silhouette=False)
+    image = await services.archive.picture(session, index, silhouette=False)
     return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
 
 
@@ -96,9 +98,9 @@ async def read_picture(session_id: str, index: Index, services: ServicesDep) -> 
     response_class=Response,
     responses={200: {"content": {"image/fits": {}}}, **problems(404, 409, 410, 422)},
 )
-async def read_frame_fits(session_id: str, index: Index, services: ServicesDep) -> Response:
+async def read_frame_fits(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame as it was sent, with its best pose in `POSE_*` cards; of frames that came as FITS."""
-    body = await services.archive.frame_fits(session_id, index)
+    body = await services.archive.frame_fits(session, index)
     return Response(body, media_type="image/fits", headers={"Cache-Control": "private, max-age=86400"})
 
 
@@ -108,14 +110,14 @@ async def read_frame_fits(session_id: str, index: Index, services: ServicesDep) 
     responses={200: {"content": {"application/json": {}, NPZ: {}}}, **problems(404, 410, 422)},
 )
 async def read_particles(
-    session_id: str,
+    session: ReadSession,
     request: Request,
     services: ServicesDep,
     index: Annotated[int | None, Query(ge=0, le=2**53, description="Frame; the newest by default")] = None,
     most: Annotated[int | None, Query(ge=1, description="No more than so many, drawn by their weights")] = None,
 ) -> Response:
     """The weighted particles after a frame, as JSON or (`Accept: application/x-npz`) as NumPy arrays."""
-    found, packed, names = await services.archive.particles(session_id, index)
+    found, packed, names = await services.archive.particles(session, index)
     as_npz = NPZ in request.headers.get("accept", "")
     body = await asyncio.to_thread(_npz if as_npz else _particles_json, packed, found, names, most)
     return Response(body, media_type=NPZ if as_npz else "application/json", headers={"Vary": "Accept"})
@@ -126,11 +128,13 @@ async def read_particles(
     response_class=Response,
     responses={200: {"content": {kind.media_type: {} for kind in FORMATS.values()}}, **problems(404, 409, 422)},
 )
-async def export(session_id: str, services: ServicesDep, query: Annotated[ExportQuery, Query()]) -> Response:
+async def export(
+    session_id: str, session: ReadSession, services: ServicesDep, query: Annotated[ExportQuery, Query()]
+) -> Response:
     """The attitude history as a file. `aem`, `apm`, `stk` and `czml` need frames with an absolute attitude."""
     kind = FORMATS[query.format]
     body = await services.archive.export(
-        session_id, query.format, query.pose, name=query.object_name, object_id=query.object_id
+        session, query.format, query.pose, name=query.object_name, object_id=query.object_id
     )
     disposition = f'attachment; filename="{session_id}.{kind.suffix}"'
     return Response(body, media_type=kind.media_type, headers={"Content-Disposition": disposition})

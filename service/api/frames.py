@@ -12,7 +12,9 @@ import orjson
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
+from service.access.principal import Principal, SessionKey, public_id
 from service.api import schemas
+from service.api.auth import OperateSession, Operator, ReadSession
 from service.api.batches import stream_batch
 from service.api.bodies import idempotency_key, media_type, read_body, wants_async
 from service.api.paging import problems
@@ -83,10 +85,15 @@ class BackgroundQuery(BaseModel):
     openapi_extra={**_IMAGE, "parameters": _HEADERS[:1]},
 )
 async def add_background(
-    session_id: str, request: Request, services: ServicesDep, query: Annotated[BackgroundQuery, Query()]
+    session: OperateSession,
+    caller: Operator,
+    request: Request,
+    services: ServicesDep,
+    query: Annotated[BackgroundQuery, Query()],
 ) -> dict[str, Any]:
     """Teach the session what empty sky looks like: one image, or a multi-frame file."""
-    await services.registry.require_room(session_id)
+    services.limits.check(caller, "pixels")
+    await services.registry.require_room(session)
     box = None if query.box is None else _box(query.box)
     if box is not None and query.border is not None:
         raise InputError("give box or border, not both", field="query:border")
@@ -99,8 +106,9 @@ async def add_background(
         box=box,
         border_px=query.border,
     )
-    owner = await services.registry.get(session_id)
+    owner = await services.registry.get(session)
     answer = await owner.submit_background(image)
+    services.limits.take(caller, "pixels", owner.frame_pixels)
     return {"background_frames": answer.background_frames, "state": answer.state}
 
 
@@ -110,9 +118,11 @@ async def add_background(
     responses={**_ACCEPTED, **_REFUSALS},
     openapi_extra={**_IMAGE, "parameters": _HEADERS},
 )
-async def post_frame(session_id: str, request: Request, services: ServicesDep, query: FrameQueryDep) -> Response:
+async def post_frame(
+    session: OperateSession, caller: Operator, request: Request, services: ServicesDep, query: FrameQueryDep
+) -> Response:
     """Track the next frame. The answer comes after it is stored."""
-    return await _take(session_id, None, request, services, query)
+    return await _take(session, None, caller, request, services, query)
 
 
 @router.put(
@@ -122,14 +132,15 @@ async def post_frame(session_id: str, request: Request, services: ServicesDep, q
     openapi_extra={**_IMAGE, "parameters": _HEADERS},
 )
 async def put_frame(
-    session_id: str,
+    session: OperateSession,
+    caller: Operator,
     index: Annotated[int, Path(ge=0, le=2**53)],
     request: Request,
     services: ServicesDep,
     query: FrameQueryDep,
 ) -> Response:
     """Track frame `index`, exactly once: the same bytes again give the same answer, other bytes a conflict."""
-    return await _take(session_id, index, request, services, query)
+    return await _take(session, index, caller, request, services, query)
 
 
 @router.get(
@@ -137,21 +148,22 @@ async def put_frame(
     response_model=schemas.Estimate,
     responses={202: {"model": schemas.Submission, "description": "Under way"}, **problems(404)},
 )
-async def read_submission(session_id: str, key: str, services: ServicesDep) -> Response:
+async def read_submission(session: ReadSession, key: str, services: ServicesDep) -> Response:
     """What became of a frame posted with this Idempotency-Key, or with `Prefer: respond-async`."""
-    document = await services.archive.by_key(session_id, key)
+    document = await services.archive.by_key(session, key)
     if document is not None:
         return _json(document)
-    if not services.submissions.pending(session_id, key):
-        await services.archive.require_key(session_id, key)
-    return _accepted(session_id, key)
+    if not services.submissions.pending(session, key):
+        await services.archive.require_key(session, key)
+    return _accepted(session, key)
 
 
 async def _take(
-    session_id: str, index: int | None, request: Request, services: Services, query: FrameQuery
+    session: SessionKey, index: int | None, caller: Principal, request: Request, services: Services, query: FrameQuery
 ) -> Response:
     received = datetime.now(UTC)
-    await services.registry.require_room(session_id)
+    services.limits.check(caller, "pixels")
+    await services.registry.require_room(session)
     body, sha256 = await read_body(request)
     in_background = wants_async(request)
     key = idempotency_key(request) or (str(uuid.uuid4()) if in_background else None)
@@ -166,14 +178,15 @@ async def _take(
         query=query.model_dump(mode="json", exclude_none=True),
     )
     if await services.batches.is_batch(body, frame.media_type):
-        return await stream_batch(services, session_id, frame, in_background)
-    owner = await services.registry.get(session_id)
+        return await stream_batch(services, session, caller, frame, in_background)
+    owner = await services.registry.get(session)
     answer = owner.submit(frame)
+    services.limits.take(caller, "pixels", owner.frame_pixels)
     if in_background and key is not None:
-        services.submissions.follow(session_id, key, _held(services, len(body), answer))
-        return _accepted(session_id, key)
+        services.submissions.follow(session, key, _held(services, len(body), answer))
+        return _accepted(session, key)
     result = await answer
-    return _json(result.document, {"Content-Location": f"/v1/sessions/{session_id}/estimates/{result.index}"})
+    return _json(result.document, {"Content-Location": f"/v1/sessions/{public_id(session)}/estimates/{result.index}"})
 
 
 async def _held(services: Services, size: int, answer: asyncio.Future[Answer]) -> None:
@@ -185,7 +198,8 @@ async def _held(services: Services, size: int, answer: asyncio.Future[Answer]) -
         services.admission.size -= size
 
 
-def _accepted(session_id: str, key: str) -> Response:
+def _accepted(session: SessionKey, key: str) -> Response:
+    session_id = public_id(session)
     location = f"/v1/sessions/{session_id}/frames/by-key/{quote(key, safe='')}"
     body = {"session_id": session_id, "key": key, "state": "pending", "location": location}
     headers = {"Location": location, "Retry-After": "1", "Preference-Applied": "respond-async"}

@@ -8,14 +8,18 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 from fastapi.openapi.docs import get_swagger_ui_html
+from fastapi.responses import HTMLResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
+from service.access.principal import DEFAULT_TENANT, tenant_of
 from service.api import schemas
+from service.api.auth import Reader
 from service.api.paging import problems
 from service.api.services import ServicesDep
 from service.sessions.frame import format_time
 
 router = APIRouter(tags=["operations"])
+_NOT_SHOWN = {"data_dir", "bootstrap_key_file", "oidc_jwks"}
 
 
 def release() -> str:
@@ -41,15 +45,17 @@ async def readyz(response: Response, services: ServicesDep) -> dict[str, Any]:
     return {"status": "ok" if ready else "starting", "checks": checks}
 
 
-@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
-async def metrics(services: ServicesDep) -> Response:
-    """Prometheus metrics."""
+@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}, **problems()})
+async def metrics(caller: Reader, services: ServicesDep) -> Response:
+    """Prometheus metrics, counted over all tenants: for the operator's."""
+    caller.require_operator()
     return Response(generate_latest(services.metrics.registry), media_type=CONTENT_TYPE_LATEST)
 
 
 @router.get("/v1/system", response_model=schemas.System, responses=problems(503))
-async def system(services: ServicesDep) -> dict[str, Any]:
-    """Devices, scorer, versions, settings."""
+async def system(caller: Reader, services: ServicesDep) -> dict[str, Any]:
+    """Devices, scorer, versions; processes and settings for the operator's tenant. Sessions are the caller's own."""
+    operator = caller.tenant == DEFAULT_TENANT
     uptime = datetime.now(UTC) - services.started
     return {
         "name": "skypose",
@@ -57,15 +63,20 @@ async def system(services: ServicesDep) -> dict[str, Any]:
         "started_at": format_time(services.started),
         "uptime_s": round(uptime.total_seconds(), 3),
         "worker": await services.status.worker(),
-        "workers": services.status.processes(),
-        "sessions": len(services.registry.resident),
-        "settings": services.settings.model_dump(mode="json", exclude={"data_dir"}),
+        "workers": services.status.processes() if operator else [],
+        "sessions": sum(tenant_of(key) == caller.tenant for key in services.registry.resident),
+        "settings": services.settings.model_dump(mode="json", exclude=_NOT_SHOWN) if operator else {},
     }
 
 
 @router.get("/docs", include_in_schema=False)
 async def docs() -> Response:
     """The API, to read and to try; served from here, without any other host."""
+    return docs_page()
+
+
+def docs_page() -> HTMLResponse:
+    """The page at ``/docs``, the same for everybody."""
     return get_swagger_ui_html(
         openapi_url="/openapi.json",
         title="skypose API",

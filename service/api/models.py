@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.datastructures import UploadFile
 
 from service.api import schemas
+from service.api.auth import OperateModel, Operator, Reader, ReadModel
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.errors import InputError, JointError, UnsupportedMediaTypeError
@@ -55,10 +56,10 @@ _UPLOAD = {
     },
     openapi_extra=_UPLOAD,
 )
-async def upload_model(request: Request, response: Response, services: ServicesDep) -> dict[str, Any]:
+async def upload_model(request: Request, response: Response, caller: Operator, services: ServicesDep) -> dict[str, Any]:
     """Upload a spacecraft model; it is checked, repaired where that is safe, and described."""
     upload = await _read_upload(request)
-    model, new = await services.library.add(upload)
+    model, new = await services.library.add(caller.tenant, upload)
     if not new:
         response.status_code = 200
     response.headers["Location"] = f"/v1/models/{model['model_id']}"
@@ -67,20 +68,21 @@ async def upload_model(request: Request, response: Response, services: ServicesD
 
 @router.get("", response_model=schemas.ModelList, responses=problems(422))
 async def list_models(
+    caller: Reader,
     services: ServicesDep,
     after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
     limit: Annotated[int, Query(ge=1)] = 100,
 ) -> Response:
     """All models in order of upload."""
     limit = page_limit(limit, services.settings)
-    found, cursor = await services.library.page(after, limit)
+    found, cursor = await services.library.page(caller.tenant, after, limit)
     return page_response("models", found, next_page("/v1/models", cursor, limit))
 
 
 @router.get("/{model_id}", response_model=schemas.Model, responses=problems(404))
-async def read_model(model_id: str, services: ServicesDep) -> dict[str, Any]:
+async def read_model(model: ReadModel, services: ServicesDep) -> dict[str, Any]:
     """One model."""
-    return await services.library.get(model_id)
+    return await services.library.get(model)
 
 
 @router.get(
@@ -88,16 +90,16 @@ async def read_model(model_id: str, services: ServicesDep) -> dict[str, Any]:
     response_class=Response,
     responses={200: {"content": {"model/gltf-binary": {}}}, **problems(404, 503)},
 )
-async def read_mesh(model_id: str, services: ServicesDep) -> Response:
+async def read_mesh(model: ReadModel, services: ServicesDep) -> Response:
     """The mesh as it was prepared: body frame, joints at rest, one node per part."""
-    data = await services.library.mesh(model_id)
+    data = await services.library.mesh(model)
     return Response(data, media_type="model/gltf-binary", headers={"Cache-Control": "private, max-age=86400"})
 
 
 @router.delete("/{model_id}", status_code=204, responses=problems(404, 409))
-async def delete_model(model_id: str, services: ServicesDep) -> None:
+async def delete_model(model: OperateModel, services: ServicesDep) -> None:
     """Delete a model that no session needs."""
-    await services.library.remove(model_id)
+    await services.library.remove(model)
 
 
 async def _read_upload(request: Request) -> Upload:

@@ -9,7 +9,6 @@ import orjson
 from starlette.responses import Response
 
 from service.api.problems import MEDIA_TYPE
-from service.api.schemas import Problem
 from service.errors import InputError
 from service.settings import Settings
 
@@ -38,6 +37,9 @@ def page_response(name: str, documents: Iterable[bytes], following: str | None) 
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The OpenAPI entry of the refusals a route can give."""
-    content = {MEDIA_TYPE: {"schema": Problem.model_json_schema()}}
-    return {status: {"description": "Refused, nothing changed", "content": content} for status in statuses}
+    """The OpenAPI entry of the refusals a route can give, beside those that every route with a caller can."""
+    entry = {
+        "description": "Refused, nothing changed",
+        "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+    }
+    return dict.fromkeys(sorted({401, 403, 429, 503, *statuses}), entry)

@@ -11,7 +11,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from service.errors import BusyError, InputError, SkyposeError
+from service.errors import BusyError, InputError, SkyposeError, UnauthorizedError
 
 log = structlog.get_logger(__name__)
 MEDIA_TYPE = "application/problem+json"
@@ -39,7 +39,11 @@ def problem_document(error: SkyposeError) -> dict[str, Any]:
 
 def problem_response(error: SkyposeError) -> Response:
     """The answer to a call that raised ``error``."""
-    headers = {"Retry-After": str(error.retry_after_s)} if isinstance(error, BusyError) else {}
+    headers = {}
+    if isinstance(error, BusyError):
+        headers["Retry-After"] = str(error.facts.get("retry_after_s", error.retry_after_s))
+    if isinstance(error, UnauthorizedError):
+        headers["WWW-Authenticate"] = 'Bearer realm="skypose"'
     return _response(error.status, problem_document(error), headers)
 
 

@@ -9,6 +9,11 @@ from typing import Annotated, cast
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
+from service.access.audit import Audit
+from service.access.gate import Gate
+from service.access.keys import Keys
+from service.access.limits import Limits
+from service.access.tickets import Tickets
 from service.api.submissions import Submissions
 from service.metrics import Metrics
 from service.sessions.admission import Admission
@@ -37,6 +42,11 @@ class Services:
     status: Status
     admission: Admission
     submissions: Submissions
+    gate: Gate
+    keys: Keys
+    tickets: Tickets
+    limits: Limits
+    audit: Audit
     started: datetime
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from service.api import schemas
+from service.api.auth import OperateSession, Operator, Reader, ReadSession
 from service.api.bodies import read_json
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
@@ -27,7 +28,9 @@ _REQUEST = {
     responses=problems(404, 413, 415, 422, 503),
     openapi_extra=_REQUEST,
 )
-async def create_session(request: Request, response: Response, services: ServicesDep) -> dict[str, Any]:
+async def create_session(
+    request: Request, response: Response, caller: Operator, services: ServicesDep
+) -> dict[str, Any]:
     """Begin a session for one object. The answer holds the whole effective configuration.
 
     With `model_ids` every frame is tracked under each model, and `models` of each estimate says how probable they are.
@@ -35,30 +38,31 @@ async def create_session(request: Request, response: Response, services: Service
     wanted = (await read_json(request, schemas.SessionRequest)).model_dump(exclude_none=True)
     sections = {name: wanted[name] for name in schemas.SECTION_NAMES if name in wanted}
     model_ids = wanted.get("model_ids") or [wanted["model_id"]]
-    session = await services.registry.create(model_ids, wanted.get("name"), sections)
+    session = await services.registry.create(caller.tenant, model_ids, wanted.get("name"), sections)
     response.headers["Location"] = f"/v1/sessions/{session['session_id']}"
     return session
 
 
 @router.get("", response_model=schemas.SessionList, responses=problems(422))
 async def list_sessions(
+    caller: Reader,
     services: ServicesDep,
     after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
     limit: Annotated[int, Query(ge=1)] = 100,
 ) -> Response:
     """All sessions in order of creation."""
     limit = page_limit(limit, services.settings)
-    found, cursor = await services.archive.sessions(after, limit)
+    found, cursor = await services.archive.sessions(caller.tenant, after, limit)
     return page_response("sessions", found, next_page("/v1/sessions", cursor, limit))
 
 
 @router.get("/{session_id}", response_model=schemas.Session, responses=problems(404))
-async def read_session(session_id: str, services: ServicesDep) -> dict[str, Any]:
+async def read_session(session: ReadSession, services: ServicesDep) -> dict[str, Any]:
     """One session."""
-    return await services.archive.session(session_id)
+    return await services.archive.session(session)
 
 
 @router.delete("/{session_id}", status_code=204, responses=problems(404, 503))
-async def delete_session(session_id: str, services: ServicesDep) -> None:
+async def delete_session(session: OperateSession, services: ServicesDep) -> None:
     """Delete a session with its whole history."""
-    await services.registry.remove(session_id)
+    await services.registry.remove(session)

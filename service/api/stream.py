@@ -12,6 +12,8 @@ from fastapi import APIRouter, Header, Query, Response, WebSocket
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
+from service.access.principal import Principal, SessionKey
+from service.api.auth import Reader, ReadSession, admit
 from service.api.paging import problems
 from service.api.problems import problem_response
 from service.api.services import Services, ServicesDep, services_of
@@ -20,7 +22,7 @@ from service.sessions.hub import Message
 
 log = structlog.get_logger(__name__)
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["stream"])
-CLOSE_NORMAL, CLOSE_GOING_AWAY, CLOSE_TRY_AGAIN = 1000, 1001, 1013
+CLOSE_NORMAL, CLOSE_GOING_AWAY, CLOSE_POLICY, CLOSE_TRY_AGAIN = 1000, 1001, 1008, 1013
 
 
 @router.get(
@@ -29,15 +31,17 @@ CLOSE_NORMAL, CLOSE_GOING_AWAY, CLOSE_TRY_AGAIN = 1000, 1001, 1013
     responses={200: {"content": {"text/event-stream": {}}}, **problems(404, 422, 503)},
 )
 async def events(
-    session_id: str,
+    session: ReadSession,
+    caller: Reader,
     services: ServicesDep,
     after: Annotated[int | None, Query(ge=-1, le=2**53, description="Events after this number")] = None,
     last_event_id: Annotated[str | None, Header(description="Wins over `after`: a resumed stream")] = None,
+    ticket: Annotated[str | None, Query(description="From `POST /v1/tickets`, in the place of a key")] = None,
 ) -> Response:
     """Estimates as they come. `after=0` begins with the first; without it only new ones are sent."""
     if last_event_id:
         after = _number(last_event_id, "header:Last-Event-ID")
-    return EventStream(services, session_id, after)
+    return EventStream(services, caller, session, after)
 
 
 @router.websocket("/stream")
@@ -45,12 +49,17 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
     """The same as `events`; `?after=N` resumes. What a client sends is ignored."""
     services = services_of(websocket)
     try:
+        caller = await admit(websocket)
         text = websocket.query_params.get("after")
         after = None if text is None else _number(text, "query:after")
-        async with services.hub.watch(session_id, after) as messages:
+        async with services.hub.watch(caller.session(session_id), after) as messages:
             await websocket.accept()
             timeout_s = services.settings.stream_send_timeout_s
-            await _first(_send_all(websocket, messages, timeout_s), _until_gone(websocket))
+            await _first(
+                _send_all(websocket, messages, timeout_s),
+                _until_gone(websocket),
+                _until_ended(websocket, services, caller),
+            )
     except SkyposeError as error:
         if websocket.application_state is WebSocketState.CONNECTING:
             await websocket.send_denial_response(problem_response(error))
@@ -66,6 +75,11 @@ async def _send_all(websocket: WebSocket, messages: AsyncGenerator[Message], tim
             await websocket.close(code, message.reason)
 
 
+async def _until_ended(websocket: WebSocket, services: Services, caller: Principal) -> None:
+    await services.gate.until_ended(caller)
+    await websocket.close(CLOSE_POLICY, "the credential is no longer good")
+
+
 async def _until_gone(websocket: WebSocket) -> None:
     while True:
         await websocket.receive()  # raises RuntimeError once the client has gone
@@ -76,18 +90,20 @@ class EventStream(Response):
 
     media_type = "text/event-stream"
 
-    def __init__(self, services: Services, session_id: str, after: int | None) -> None:
+    def __init__(self, services: Services, caller: Principal, session: SessionKey, after: int | None) -> None:
         super().__init__(headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"})
         del self.headers["content-length"]
         self._services = services
-        self._session_id = session_id
+        self._caller = caller
+        self._session = session
         self._after = after
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the head, then every message."""
-        async with self._services.hub.watch(self._session_id, self._after) as messages:
+        async with self._services.hub.watch(self._session, self._after) as messages:
             await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
-            await _first(self._send_all(messages, send), _until_disconnected(receive))
+            ended = self._services.gate.until_ended(self._caller)
+            await _first(self._send_all(messages, send), _until_disconnected(receive), ended)
 
     async def _send_all(self, messages: AsyncGenerator[Message], send: Send) -> None:
         timeout_s = self._services.settings.stream_send_timeout_s

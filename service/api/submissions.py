@@ -9,6 +9,7 @@ import asyncio
 from collections import OrderedDict
 from collections.abc import Awaitable
 
+from service.access.principal import SessionKey
 from service.errors import SkyposeError
 
 KEPT_FAILURES = 1000
@@ -18,10 +19,10 @@ class Submissions:
     """Frames under way and failed, by session and key."""
 
     def __init__(self) -> None:
-        self._pending: dict[tuple[str, str], asyncio.Task[None]] = {}
-        self._failed: OrderedDict[tuple[str, str], SkyposeError] = OrderedDict()
+        self._pending: dict[tuple[SessionKey, str], asyncio.Task[None]] = {}
+        self._failed: OrderedDict[tuple[SessionKey, str], SkyposeError] = OrderedDict()
 
-    def follow(self, session_id: str, key: str, answer: Awaitable[object]) -> None:
+    def follow(self, session_id: SessionKey, key: str, answer: Awaitable[object]) -> None:
         """Remember the frame until its answer is there."""
         place = (session_id, key)
         self._failed.pop(place, None)
@@ -29,7 +30,7 @@ class Submissions:
         self._pending[place] = task
         task.add_done_callback(lambda done: self._drop(place, done))
 
-    def pending(self, session_id: str, key: str) -> bool:
+    def pending(self, session_id: SessionKey, key: str) -> bool:
         """Whether the frame is under way. Raises the error of one that failed."""
         failure = self._failed.get((session_id, key))
         if failure is not None:
@@ -40,7 +41,7 @@ class Submissions:
         """Wait for those under way."""
         await asyncio.gather(*self._pending.values())
 
-    async def _await(self, place: tuple[str, str], answer: Awaitable[object]) -> None:
+    async def _await(self, place: tuple[SessionKey, str], answer: Awaitable[object]) -> None:
         try:
             await answer
         except SkyposeError as error:
@@ -48,11 +49,11 @@ class Submissions:
         except Exception as error:  # noqa: BLE001 -- logged by the session; the client gets the general answer
             self._fail(place, SkyposeError(f"unexpected error: {type(error).__name__}"))
 
-    def _fail(self, place: tuple[str, str], error: SkyposeError) -> None:
+    def _fail(self, place: tuple[SessionKey, str], error: SkyposeError) -> None:
         self._failed[place] = error
         while len(self._failed) > KEPT_FAILURES:
             self._failed.popitem(last=False)
 
-    def _drop(self, place: tuple[str, str], task: asyncio.Task[None]) -> None:
+    def _drop(self, place: tuple[SessionKey, str], task: asyncio.Task[None]) -> None:
         if self._pending.get(place) is task:
             del self._pending[place]

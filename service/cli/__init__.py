@@ -9,6 +9,7 @@ from service.cli.demo import demo
 from service.cli.doctor import doctor
 from service.cli.export import export
 from service.cli.ingest import ingest
+from service.cli.keys import keys
 from service.cli.openapi import openapi
 from service.cli.serve import serve
 from service.cli.simulate import simulate
@@ -24,6 +25,7 @@ app.command()(ingest)
 app.command()(export)
 app.command()(openapi)
 app.add_typer(bench)
+app.add_typer(keys)
 
 
 def main() -> None:

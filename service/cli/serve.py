@@ -36,6 +36,8 @@ def run(settings: Settings, worker: str | None = None) -> None:
     from service.workers.process import TRACKER, ProcessTransport
 
     logs.configure(settings.log_level, settings.log_format)
+    if settings.needs_credential:
+        refuse_open_door(settings)
     transport = ProcessTransport(
         worker or TRACKER,
         settings.workers,
@@ -48,6 +50,36 @@ def run(settings: Settings, worker: str | None = None) -> None:
 
     app = create_app(settings, transport)
     _server(app, settings).run()
+
+
+def refuse_open_door(settings: Settings) -> None:
+    """Exit with what to do, where others could reach the service and nobody would have a key."""
+    import asyncio
+
+    from service.access.gate import Gate
+    from service.access.keys import Keys
+    from service.access.oidc import open_oidc
+    from service.access.tickets import Tickets
+    from service.errors import SkyposeError
+    from service.store.database import Database
+
+    async def look() -> None:
+        database = Database(settings.data_dir, 1)
+        keys = Keys(database, settings.credential_cache_s)
+        gate = Gate(settings, keys, open_oidc(settings), Tickets(settings.ticket_s))
+        if not gate.needs_stored_key:
+            return
+        await database.open(beside=True)
+        try:
+            await gate.require_credentials()
+        finally:
+            await database.close()
+
+    try:
+        asyncio.run(look())
+    except SkyposeError as error:
+        typer.echo(f"skypose serve: {error.detail}", err=True)
+        raise typer.Exit(2) from error
 
 
 def _server(app: FastAPI, settings: Settings) -> uvicorn.Server:

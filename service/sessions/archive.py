@@ -25,6 +25,7 @@ from service.sessions.smoothing import smoothed_page
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, SessionRecord
 from service.store.database import Database
+from service.store.scope import SessionKey, model_key, public_id
 from service.workers.base import OverlayJob
 from service.workers.codec import decode
 from service.workers.engine import Engine
@@ -39,36 +40,36 @@ class Archive:
         self.database = database
         self._engine = engine
 
-    async def session(self, session_id: str) -> dict[str, Any]:
+    async def session(self, session_id: SessionKey) -> dict[str, Any]:
         """One session."""
         return session_document(await self.database.read(sessions.get, session_id))
 
-    async def sessions(self, after: int, limit: int) -> tuple[list[bytes], int | None]:
-        """Sessions after a cursor as JSON, and the cursor of the next page or None."""
-        found = await self.database.read(sessions.page, after, limit + 1)
+    async def sessions(self, tenant: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
+        """A tenant's sessions after a cursor as JSON, and the cursor of the next page or None."""
+        found = await self.database.read(sessions.page, tenant, after, limit + 1)
         following = found[limit - 1].number if len(found) > limit else None
         return [orjson.dumps(session_document(record)) for record in found[:limit]], following
 
-    async def estimate(self, session_id: str, index: int | None) -> bytes:
+    async def estimate(self, session_id: SessionKey, index: int | None) -> bytes:
         """The estimate of a frame (None: the newest) as JSON bytes."""
         return await self.database.read(frames.estimate, session_id, index)
 
-    async def estimates(self, session_id: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
+    async def estimates(self, session_id: SessionKey, after: int, limit: int) -> tuple[list[bytes], int | None]:
         """Estimates after an index, and the index to go on from or None."""
         found = await self.database.read(frames.estimate_page, session_id, after, limit + 1)
         following = found[limit - 1][0] if len(found) > limit else None
         return [document for _, document in found[:limit]], following
 
-    async def smoothed(self, session_id: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
+    async def smoothed(self, session_id: SessionKey, after: int, limit: int) -> tuple[list[bytes], int | None]:
         """The same, each with all later frames taken into account."""
         return await smoothed_page(self.database, self._engine, session_id, after, limit)
 
-    async def by_key(self, session_id: str, key: str) -> bytes | None:
+    async def by_key(self, session_id: SessionKey, key: str) -> bytes | None:
         """The estimate of the frame that was sent with this idempotency key, or None."""
         _, stored = await self.database.read(frames.find, session_id, index=None, key=key)
         return None if stored is None else await self.estimate(session_id, stored.index)
 
-    async def picture(self, session_id: str, index: int, *, silhouette: bool) -> bytes:
+    async def picture(self, session_id: SessionKey, index: int, *, silhouette: bool) -> bytes:
         """PNG of a frame, with its best silhouette or without. Raises ``GoneError`` where it is no longer kept."""
         body, media_type = await self.database.read(frames.body, session_id, index)
         estimate = orjson.loads(await self.estimate(session_id, index))
@@ -90,43 +91,46 @@ class Archive:
         )
         return await self._engine.overlay(job, self._blob)
 
-    async def frame_fits(self, session_id: str, index: int) -> bytes:
+    async def frame_fits(self, session_id: SessionKey, index: int) -> bytes:
         """A frame's FITS file with its pose. Raises ``ConflictError`` for another format, ``GoneError``."""
         body, media_type = await self.database.read(frames.body, session_id, index)
         return await asyncio.to_thread(frame_fits, body, media_type, await self.estimate(session_id, index))
 
-    async def particles(self, session_id: str, index: int | None) -> tuple[int, bytes, tuple[str, ...]]:
+    async def particles(self, session_id: SessionKey, index: int | None) -> tuple[int, bytes, tuple[str, ...]]:
         """Frame, packed state and joint names of a particle set. Raises ``GoneError`` where it is not kept."""
         found, packed = await self.database.read(frames.particle_set, session_id, index)
         return found, packed, await self.joint_names(session_id, found)
 
-    async def joint_names(self, session_id: str, index: int | None = None) -> tuple[str, ...]:
+    async def joint_names(self, session_id: SessionKey, index: int | None = None) -> tuple[str, ...]:
         """Names of the estimated joints, in the order of their columns; ``index``: under the model of that frame."""
         estimate = None if index is None else orjson.loads(await self.estimate(session_id, index))
         model, config = await self._setting(session_id, estimate)
         return JointNames.of(articulation_of(model), config).free
 
-    async def export(self, session_id: str, form: str, pose: PoseName, *, name: str | None, object_id: str) -> bytes:
+    async def export(
+        self, session_id: SessionKey, form: str, pose: PoseName, *, name: str | None, object_id: str
+    ) -> bytes:
         """The history as a file. Raises ``ConflictError`` for an attitude format without any attitude."""
         record = await self.database.read(sessions.get, session_id)
         require_one_model(record, "export")
         joints = await self.joint_names(session_id)
         found, _ = await self.estimates(session_id, -1, EVERYTHING)
-        subject = Subject(name or record.name or session_id, object_id, joints, datetime.now(UTC))
+        subject = Subject(name or record.name or public_id(session_id), object_id, joints, datetime.now(UTC))
         return await asyncio.to_thread(_export, form, found, pose, subject)
 
-    async def require_key(self, session_id: str, key: str) -> None:
+    async def require_key(self, session_id: SessionKey, key: str) -> None:
         """Say what is missing: the session, or a frame with this key."""
         await self.database.read(sessions.get, session_id)
         raise NotFoundError(f"no frame with key {key!r}", field="key")
 
     async def _setting(
-        self, session_id: str, estimate: Mapping[str, Any] | None = None
+        self, session_id: SessionKey, estimate: Mapping[str, Any] | None = None
     ) -> tuple[ModelRecord, SessionConfig]:
         """Model and configuration; where models are compared, the model that ``estimate`` was made with."""
         record = await self.database.read(sessions.get, session_id)
         ranked = None if estimate is None else estimate.get("models")
-        model = await self.database.read(models.get, ranked[0]["model_id"] if ranked else record.model_id)
+        key = model_key(record.tenant, ranked[0]["model_id"]) if ranked else record.model_id
+        model = await self.database.read(models.get, key)
         return model, session_config.parse(orjson.dumps(record.config))
 
     async def _blob(self, key: str) -> bytes:
@@ -161,12 +165,13 @@ def particle_arrays(packed: bytes, most: int | None = None) -> dict[str, Any]:
 
 def session_document(record: SessionRecord) -> dict[str, Any]:
     """A stored session as the API answers it."""
-    here = f"/v1/sessions/{record.id}"
+    session_id, model_id = public_id(record.id), public_id(record.model_id)
+    here = f"/v1/sessions/{session_id}"
     return {
-        "session_id": record.id,
+        "session_id": session_id,
         "name": record.name,
-        "model_id": None if record.model_ids else record.model_id,
-        "model_ids": list(record.model_ids) or None,
+        "model_id": None if record.model_ids else model_id,
+        "model_ids": [public_id(key) for key in record.model_ids] or None,
         "state": "waiting_for_background" if record.background_key is None else "ready",
         "status": record.status,
         "frames": record.next_index,
@@ -178,7 +183,7 @@ def session_document(record: SessionRecord) -> dict[str, Any]:
         "warnings": list(record.warnings),
         **record.config,
         "links": {
-            **({} if record.model_ids else {"model": f"/v1/models/{record.model_id}"}),
+            **({} if record.model_ids else {"model": f"/v1/models/{model_id}"}),
             **{name: f"{here}/{name}" for name in ("background", "frames", "estimates", "particles")},
             **{name: f"{here}/{name}" for name in ("stream", "events", "checkpoint", "export")},
         },

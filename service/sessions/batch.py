@@ -14,6 +14,7 @@ from service.imaging.split import PNG, SplitFrame
 from service.sessions import config as session_config
 from service.sessions.frame import Answer, FrameIn
 from service.sessions.registry import Registry
+from service.store.scope import SessionKey
 from service.workers.engine import Engine
 from service.workers.inspector import Inspector
 from service.workers.splitting import SplitJob
@@ -31,7 +32,7 @@ class Batches:
         """Whether a body holds several frames (a video always counts as such). Raises ``ImageError``."""
         return await self._inspector.count(body, media_type) != 1
 
-    async def track(self, session_id: str, whole: FrameIn) -> AsyncIterator[Answer]:
+    async def track(self, session_id: SessionKey, whole: FrameIn) -> AsyncIterator[Answer]:
         """One answer per frame. Raises what a frame posted singly would; the frames before it stay tracked."""
         owner = await self._registry.get(session_id)
         config = session_config.parse(orjson.dumps(owner.record.config))

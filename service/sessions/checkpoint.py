@@ -8,6 +8,7 @@ model is prepared anew.
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import re
 from dataclasses import dataclass, fields
 from typing import Any
@@ -28,10 +29,11 @@ from service.store import checkpoints
 from service.store.base import ModelRecord, SessionRecord
 from service.store.checkpoints import StoredSession
 from service.store.database import Database
+from service.store.scope import SessionKey, model_key, public_id, session_key
 from service.workers.codec import decode, encode
 
 SESSION_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_NOT_CARRIED = ("id", "epoch", "number", "model_ids")
+_NOT_CARRIED = ("id", "epoch", "number", "model_ids", "tenant", "model_id")
 Bytes = NDArray[np.uint8]
 
 
@@ -55,14 +57,14 @@ class Checkpoints:
         self._registry = registry
         self._library = library
 
-    async def get(self, session_id: str) -> bytes:
+    async def get(self, session_id: SessionKey) -> bytes:
         """The session as it stands. Raises ``NotFoundError``."""
         stored = await self._database.read(checkpoints.read, session_id)
         require_one_model(stored.record, "checkpoint")
         return await asyncio.to_thread(pack, stored)
 
-    async def put(self, session_id: str, blob: bytes) -> tuple[dict[str, Any], bool]:
-        """Take a session in. Returns it, and whether it is new here.
+    async def put(self, tenant: str, session_id: str, blob: bytes) -> tuple[dict[str, Any], bool]:
+        """Take a session in, as the tenant's. Returns it, and whether it is new here.
 
         Raises ``CheckpointError``, or ``ConflictError`` where a session of that id is here and is not an earlier
         stand of this one.
@@ -71,8 +73,9 @@ class Checkpoints:
             raise InputError("a session id has 1 to 64 letters, digits, - or _", field="session_id")
         packed = await asyncio.to_thread(decode, Checkpoint, blob)
         upload = await asyncio.to_thread(_upload, packed)
-        model = await self._library.prepare(content_id(upload), upload)
-        given = await asyncio.to_thread(unpack, packed, session_id, model)
+        model = await self._library.prepare(tenant, model_key(tenant, content_id(upload)), upload)
+        key = session_key(tenant, session_id)
+        given = await asyncio.to_thread(unpack, packed, key, model)
         new = await self._registry.take_in(given)
         return session_document(given.record), new
 
@@ -99,17 +102,23 @@ def pack(stored: StoredSession) -> bytes:
     )
 
 
-def unpack(packed: Checkpoint, session_id: str, model: ModelRecord) -> StoredSession:
-    """A checkpoint as a session to store, under this id. Raises ``CheckpointError`` for what does not fit."""
+def unpack(packed: Checkpoint, key: SessionKey, model: ModelRecord) -> StoredSession:
+    """A checkpoint as a session to store, under this key. Raises ``CheckpointError`` for what does not fit."""
     try:
         session = orjson.loads(packed.session.tobytes())
         history = orjson.loads(packed.history.tobytes())
+        carried = {f.name for f in fields(SessionRecord)} - set(_NOT_CARRIED)
+        given = {name: value for name, value in session.items() if name != "model_id"}  # which older releases wrote
+        if given.keys() - carried:  # a crafted one could otherwise name rows of others
+            raise ValueError(f"unknown fields {sorted(given.keys() - carried)}")
         record = SessionRecord(
-            id=session_id,
-            **{**session, "model_id": model.id, "warnings": tuple(session["warnings"])},
+            id=key,
+            tenant=model.tenant,
+            model_id=model.id,
+            **{**given, "warnings": tuple(given["warnings"])},
         )
         estimates = [
-            {**row, "document": orjson.dumps({**row["document"], "session_id": session_id})}
+            {**row, "document": orjson.dumps({**row["document"], "session_id": public_id(key)})}
             for row in history["estimates"]
         ]
         stored = StoredSession(
@@ -140,8 +149,8 @@ def _check(stored: StoredSession) -> None:
             raise ValueError("the history has gaps")
     if record.next_seq != record.next_index + 1:
         raise ValueError("the event log has gaps")
-    if (stored.background is None) != (record.background_key is None):
-        raise ValueError("the background is missing")
+    if record.background_key != (None if stored.background is None else hashlib.sha256(stored.background).hexdigest()):
+        raise ValueError("the background is missing, or another one")
     if stored.state is not None:
         _check_state(decode(FilterState, stored.state), len(JointNames.of(articulation, config).free))
     elif record.next_index:

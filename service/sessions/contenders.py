@@ -16,6 +16,7 @@ from service.inference.weights import normalise
 from service.sessions.document import JointNames
 from service.sessions.library import articulation_of, twins_of
 from service.store.base import ModelRecord, SessionRecord, StoredContender
+from service.store.scope import public_id
 from service.workers.base import PackedFrameReport
 
 
@@ -52,7 +53,7 @@ def ranking(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
     probability = np.exp(normalise(log_evidence)[0])
     return [
         {
-            "model_id": contenders[k].model.id,
+            "model_id": public_id(contenders[k].model.id),
             "probability": float(probability[k]),
             "log_evidence": float(log_evidence[k]),
         }

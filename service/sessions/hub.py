@@ -13,10 +13,11 @@ from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
-from service.errors import BusyError
+from service.errors import BusyError, QuotaExceededError
 from service.store import frames
 from service.store.base import StoredEvent
 from service.store.database import Database
+from service.store.scope import SessionKey, tenant_of
 
 PAGE = 100
 
@@ -54,13 +55,23 @@ class _Channel:
 class Hub:
     """The channels of all watched sessions."""
 
-    def __init__(self, database: Database, *, ring: int, max_lag: int, heartbeat_s: float, max_watchers: int) -> None:
+    def __init__(
+        self,
+        database: Database,
+        *,
+        ring: int,
+        max_lag: int,
+        heartbeat_s: float,
+        max_watchers: int,
+        quota: int = 0,
+    ) -> None:
         self._database = database
         self._ring = ring
         self._max_lag = max_lag
         self._heartbeat_s = heartbeat_s
         self._max_watchers = max_watchers
-        self._channels: dict[str, _Channel] = {}
+        self._quota = quota  # of one tenant; 0: none
+        self._channels: dict[SessionKey, _Channel] = {}
         self._stopping: str | None = None
 
     @property
@@ -68,7 +79,10 @@ class Hub:
         """Watchers at present."""
         return sum(channel.watchers for channel in self._channels.values())
 
-    def publish(self, session_id: str, seq: int, document: bytes) -> None:
+    def _watchers_of(self, tenant: str) -> int:
+        return sum(channel.watchers for key, channel in self._channels.items() if tenant_of(key) == tenant)
+
+    def publish(self, session_id: SessionKey, seq: int, document: bytes) -> None:
         """Tell the watchers of a committed event."""
         channel = self._channels.get(session_id)
         if channel is not None:
@@ -76,7 +90,7 @@ class Hub:
             channel.newest = seq
             channel.grow()
 
-    def advance(self, session_id: str, newest: int) -> None:
+    def advance(self, session_id: SessionKey, newest: int) -> None:
         """Tell the watchers that the log has grown in the database."""
         channel = self._channels.get(session_id)
         if channel is not None:
@@ -84,7 +98,7 @@ class Hub:
             channel.newest = newest
             channel.grow()
 
-    def end(self, session_id: str, reason: str) -> None:
+    def end(self, session_id: SessionKey, reason: str) -> None:
         """Send a session's watchers home."""
         channel = self._channels.get(session_id)
         if channel is not None:
@@ -98,13 +112,16 @@ class Hub:
             self.end(session_id, "shutdown")
 
     @asynccontextmanager
-    async def watch(self, session_id: str, after: int | None) -> AsyncGenerator[AsyncGenerator[Message]]:
+    async def watch(self, session_id: SessionKey, after: int | None) -> AsyncGenerator[AsyncGenerator[Message]]:
         """Events after number ``after`` (None: only new ones), then new ones as they come, in order.
 
-        Raises ``NotFoundError`` for an unknown session, ``BusyError`` past the number of watchers.
+        Raises ``NotFoundError`` for an unknown session, ``BusyError`` past the number of watchers,
+        ``QuotaExceededError`` past the tenant's.
         """
         if self.watchers >= self._max_watchers:
             raise BusyError("too many streams", setting="SKYPOSE_MAX_STREAMS", limit=self._max_watchers)
+        if self._quota and self._watchers_of(tenant_of(session_id)) >= self._quota:
+            raise QuotaExceededError("too many streams", setting="SKYPOSE_QUOTA_STREAMS", limit=self._quota)
         channel = self._channels.setdefault(session_id, _Channel(deque(maxlen=self._ring)))
         channel.watchers += 1  # before the log is read: whatever is committed from now on wakes us
         try:
@@ -119,7 +136,7 @@ class Hub:
             if channel.watchers == 0 and self._channels.get(session_id) is channel:
                 del self._channels[session_id]
 
-    async def _follow(self, session_id: str, channel: _Channel, cursor: int) -> AsyncGenerator[Message]:
+    async def _follow(self, session_id: SessionKey, channel: _Channel, cursor: int) -> AsyncGenerator[Message]:
         live = False
         while True:
             changed = channel.changed
@@ -141,7 +158,7 @@ class Hub:
             except TimeoutError:
                 yield Message("heartbeat", cursor)
 
-    async def _events(self, session_id: str, channel: _Channel, cursor: int) -> list[StoredEvent]:
+    async def _events(self, session_id: SessionKey, channel: _Channel, cursor: int) -> list[StoredEvent]:
         if cursor >= channel.newest:
             return []
         recent = channel.since(cursor)

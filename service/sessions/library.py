@@ -16,8 +16,9 @@ from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.symmetry import Symmetry
 from service.sessions.frame import format_time
 from service.store import models
-from service.store.base import ModelRecord
+from service.store.base import NO_QUOTAS, ModelRecord, Quotas
 from service.store.database import Database
+from service.store.scope import ModelKey, model_key, public_id
 from service.workers.base import MeshJob, ModelJob, ModelReport
 from service.workers.engine import Engine
 
@@ -49,29 +50,31 @@ def twins_of(model: ModelRecord) -> tuple[Symmetry, ...]:
 class Library:
     """Takes models in and describes them."""
 
-    def __init__(self, database: Database, engine: Engine) -> None:
+    def __init__(self, database: Database, engine: Engine, quotas: Quotas = NO_QUOTAS) -> None:
         self._database = database
+        self._quotas = quotas
         self._engine = engine
 
-    async def add(self, upload: Upload) -> tuple[Document, bool]:
+    async def add(self, tenant: str, upload: Upload) -> tuple[Document, bool]:
         """Prepare and store a model, unless the same content is there. Returns it, and whether it is new.
 
         Raises what the worker finds wrong with it: ``MeshFileError``, ``JointError``, ``TooLargeError``.
         """
-        model_id = await asyncio.to_thread(content_id, upload)
-        known = await self._database.read(models.find, model_id)
+        key = model_key(tenant, await asyncio.to_thread(content_id, upload))
+        known = await self._database.read(models.find, key)
         if known is not None:
             return model_document(known), False
-        record = await self.prepare(model_id, upload)
-        await self._database.write(models.add, record, upload.data)
+        record = await self.prepare(tenant, key, upload)
+        await self._database.write(models.add, record, upload.data, self._quotas)
         return model_document(record), True
 
-    async def prepare(self, model_id: str, upload: Upload) -> ModelRecord:
+    async def prepare(self, tenant: str, key: ModelKey, upload: Upload) -> ModelRecord:
         """Check and describe a model, without storing it."""
         report = await self._engine.prepare_model(ModelJob(upload.data, upload.file_type, upload.joints))
         blob_key = (await asyncio.to_thread(hashlib.sha256, upload.data)).hexdigest()
         return ModelRecord(
-            id=model_id,
+            id=key,
+            tenant=tenant,
             name=upload.name,
             file_type=upload.file_type,
             blob_key=blob_key,
@@ -80,22 +83,22 @@ class Library:
             created_at=format_time(datetime.now(UTC)),
         )
 
-    async def get(self, model_id: str) -> Document:
+    async def get(self, model_id: ModelKey) -> Document:
         """One model. Raises ``NotFoundError``."""
         return model_document(await self._database.read(models.get, model_id))
 
-    async def mesh(self, model_id: str) -> bytes:
+    async def mesh(self, model_id: ModelKey) -> bytes:
         """GLB of a model as it was prepared. Raises ``NotFoundError``."""
         record = await self._database.read(models.get, model_id)
         return await self._engine.mesh(MeshJob(record.blob_key, record.file_type), self._blob)
 
-    async def page(self, after: int, limit: int) -> tuple[list[bytes], int | None]:
-        """Models after a cursor as JSON, and the cursor of the next page or None."""
-        found = await self._database.read(models.page, after, limit + 1)
+    async def page(self, tenant: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
+        """A tenant's models after a cursor as JSON, and the cursor of the next page or None."""
+        found = await self._database.read(models.page, tenant, after, limit + 1)
         following = found[limit - 1].number if len(found) > limit else None
         return await asyncio.to_thread(_jsons, found[:limit]), following
 
-    async def remove(self, model_id: str) -> None:
+    async def remove(self, model_id: ModelKey) -> None:
         """Delete a model. Raises ``NotFoundError``, or ``ModelInUseError`` while a session needs it."""
         await self._database.write(models.remove, model_id)
 
@@ -121,7 +124,7 @@ def model_document(record: ModelRecord) -> Document:
     report = record.report
     articulation = articulation_of(record)
     return {
-        "model_id": record.id,
+        "model_id": public_id(record.id),
         "name": record.name,
         "file_type": record.file_type,
         **{name: report[name] for name in ("faces", "vertices", "size", "centre", "watertight")},

@@ -20,8 +20,9 @@ from service.sessions.frame import format_time
 from service.sessions.library import articulation_of
 from service.sessions.session import Rooms, Session
 from service.store import checkpoints, models, sessions
-from service.store.base import SessionRecord, StoredContender
+from service.store.base import NO_QUOTAS, Quotas, SessionRecord, StoredContender
 from service.store.checkpoints import StoredSession
+from service.store.scope import SessionKey, model_key, session_key
 
 log = structlog.get_logger(__name__)
 
@@ -29,44 +30,49 @@ log = structlog.get_logger(__name__)
 class Registry:
     """Hands out the one owner of each session."""
 
-    def __init__(self, rooms: Rooms, *, idle_s: float, max_resident: int) -> None:
+    def __init__(self, rooms: Rooms, *, idle_s: float, max_resident: int, quotas: Quotas = NO_QUOTAS) -> None:
         self._rooms = rooms
         self._idle_s = idle_s
         self._max_resident = max_resident
-        self._resident: dict[str, Session] = {}
+        self._quotas = quotas
+        self._resident: dict[SessionKey, Session] = {}
         self._restoring = asyncio.Lock()
         self._leaving: set[asyncio.Task[None]] = set()
 
     @property
-    def resident(self) -> Mapping[str, Session]:
+    def resident(self) -> Mapping[SessionKey, Session]:
         """Sessions in memory."""
         return self._resident
 
-    async def create(self, model_ids: Sequence[str], name: str | None, sections: Mapping[str, Any]) -> dict[str, Any]:
-        """A new session; of several models, one that compares them.
+    async def create(
+        self, tenant: str, model_ids: Sequence[str], name: str | None, sections: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """A new session of a tenant; of several models, one that compares them.
 
-        Raises ``NotFoundError`` for a model, ``ConfigError`` for the rest.
+        Raises ``NotFoundError`` for a model, ``QuotaExceededError``, ``ConfigError`` for the rest.
         """
         config = session_config.effective(sections)
         warnings: list[str] = []
-        for model_id in model_ids:
-            model = await self._rooms.database.read(models.get, model_id)
+        keys = [model_key(tenant, model_id) for model_id in model_ids]
+        for key in keys:
+            model = await self._rooms.database.read(models.get, key)
             warnings += session_config.check_joints(config, articulation_of(model))
         now = format_time(datetime.now(UTC))
         record = SessionRecord(
-            id=str(uuid.uuid4()),
-            model_id=model_ids[0],
+            id=session_key(tenant, str(uuid.uuid4())),
+            tenant=tenant,
+            model_id=keys[0],
             name=name,
             config=session_config.document(config),
             warnings=tuple(dict.fromkeys(warnings)),
-            model_ids=tuple(model_ids) if len(model_ids) > 1 else (),
+            model_ids=tuple(keys) if len(keys) > 1 else (),
             created_at=now,
             updated_at=now,
         )
-        await self._rooms.database.write(sessions.add, record)
+        await self._rooms.database.write(sessions.add, record, self._quotas)
         return session_document(record)
 
-    async def get(self, session_id: str) -> Session:
+    async def get(self, session_id: SessionKey) -> Session:
         """The session's owner, restored from the store if not in memory. Raises ``NotFoundError``."""
         owner = self._resident.get(session_id)
         if owner is None or owner.inbox.retired:
@@ -77,7 +83,7 @@ class Registry:
         owner.inbox.used_at = time.monotonic()
         return owner
 
-    async def require_room(self, session_id: str) -> None:
+    async def require_room(self, session_id: SessionKey) -> None:
         """Refuse early, before a body is read: an unknown session, a full inbox."""
         owner = self._resident.get(session_id)
         if owner is None:
@@ -85,7 +91,7 @@ class Registry:
         else:
             owner.inbox.require_room()
 
-    async def remove(self, session_id: str) -> None:
+    async def remove(self, session_id: SessionKey) -> None:
         """Delete a session with its history, and send its watchers home."""
         async with self._restoring:
             owner = self._resident.pop(session_id, None)
@@ -100,7 +106,7 @@ class Registry:
             owner = self._resident.pop(given.record.id, None)
             if owner is not None:
                 await owner.inbox.close()
-            new = await self._rooms.database.write(checkpoints.write, given)
+            new = await self._rooms.database.write(checkpoints.write, given, self._quotas)
         self._rooms.hub.advance(given.record.id, given.record.next_seq - 1)
         return new
 
@@ -121,7 +127,7 @@ class Registry:
         self._resident.clear()
         await asyncio.gather(*(owner.inbox.close() for owner in owners), *self._leaving)
 
-    async def _restore(self, session_id: str) -> Session:
+    async def _restore(self, session_id: SessionKey) -> Session:
         old = self._resident.pop(session_id, None)
         if old is not None:
             await old.inbox.close()

@@ -35,6 +35,7 @@ from service.sessions.pointings import Pointings
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, Retention, SessionRecord
 from service.store.database import Database
+from service.store.scope import public_id
 from service.workers.base import BackgroundJob, FrameJob, PackedFrameReport
 from service.workers.engine import Engine
 from service.workers.inspector import Inspector
@@ -71,6 +72,12 @@ class Session:
         self._config = config
         self._contenders = contenders
         self._pointings = Pointings(config.camera)
+
+    @property
+    def frame_pixels(self) -> int:
+        """Pixels of a frame: those of the background; 0 before there is one."""
+        info = self.record.background_info
+        return 0 if info is None else int(info["height"]) * int(info["width"])
 
     def submit(self, frame: FrameIn) -> asyncio.Future[Answer]:
         """Queue a frame. The future holds the answer once it is committed."""
@@ -151,7 +158,9 @@ class Session:
         index, text = self.record.next_index, format_time(moment.utc)
         names = contenders[leader(contenders)].names
         models = ranking(contenders) if len(contenders) > 1 else None
-        document = await asyncio.to_thread(estimate_document, self.record.id, index, text, names, report, view, models)
+        document = await asyncio.to_thread(
+            estimate_document, public_id(self.record.id), index, text, names, report, view, models
+        )
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(
             session_id=self.record.id,

@@ -22,12 +22,13 @@ from service.sessions.library import articulation_of, twins_of
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, SessionRecord, StoredBelief
 from service.store.database import Database
+from service.store.scope import SessionKey
 from service.workers.base import SmoothJob
 from service.workers.engine import Engine
 
 
 async def smoothed_page(
-    database: Database, engine: Engine, session_id: str, after: int, limit: int
+    database: Database, engine: Engine, session_id: SessionKey, after: int, limit: int
 ) -> tuple[list[bytes], int | None]:
     """Smoothed estimates after an index, and the index to go on from or None. Raises ``NotFoundError``, or
     ``ConflictError`` for a session that compares models.

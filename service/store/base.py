@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from service.store.scope import DEFAULT_TENANT, ModelKey, SessionKey
+
 
 @dataclass(frozen=True)
 class ModelRecord:
     """An uploaded model. ``report`` is what was found in it, ``joints`` what the client gave; JSON data."""
 
-    id: str
+    id: ModelKey
     name: str
     file_type: str
     blob_key: str
@@ -19,14 +21,15 @@ class ModelRecord:
     created_at: str
     joints: tuple[Mapping[str, Any], ...] | None = None
     number: int = 0  # order of creation, given by the store
+    tenant: str = DEFAULT_TENANT
 
 
 @dataclass(frozen=True)
 class SessionRecord:
     """A session as the database holds it."""
 
-    id: str
-    model_id: str
+    id: SessionKey
+    model_id: ModelKey
     name: str | None
     config: Mapping[str, Any]
     warnings: tuple[str, ...]
@@ -42,14 +45,15 @@ class SessionRecord:
     background_frames: int = 0
     background_info: Mapping[str, Any] | None = None
     number: int = 0
-    model_ids: tuple[str, ...] = ()  # of a session that compares models, ``model_id`` the first; else none
+    model_ids: tuple[ModelKey, ...] = ()  # of a session that compares models, ``model_id`` the first; else none
+    tenant: str = DEFAULT_TENANT
 
 
 @dataclass(frozen=True)
 class StoredContender:
     """A model that a session compares, after the newest frame."""
 
-    model_id: str
+    model_id: ModelKey
     state: bytes | None
     log_evidence: float
 
@@ -58,7 +62,7 @@ class StoredContender:
 class FrameRecord:
     """A tracked frame with all that its one transaction holds."""
 
-    session_id: str
+    session_id: SessionKey
     epoch: int
     index: int
     sha256: str
@@ -90,7 +94,7 @@ class StoredFrame:
 class BackgroundRecord:
     """A background after one more image."""
 
-    session_id: str
+    session_id: SessionKey
     epoch: int
     sha256: str
     idempotency_key: str | None
@@ -111,6 +115,18 @@ class Retention:
 
 
 @dataclass(frozen=True)
+class Quotas:
+    """How much one tenant may have; 0: any number."""
+
+    sessions: int = 0
+    models: int = 0
+    particles: int = 0  # of all its sessions together
+
+
+NO_QUOTAS = Quotas()
+
+
+@dataclass(frozen=True)
 class StoredBelief:
     """What the smoother needs of a frame."""
 
@@ -125,3 +141,35 @@ class StoredEvent:
 
     seq: int
     document: bytes
+
+
+@dataclass(frozen=True)
+class KeyRecord:
+    """An API key as the database holds it: its secret only as a hash."""
+
+    id: str
+    sha256: str
+    tenant: str
+    role: str
+    name: str
+    created_at: str
+    expires_at: str | None = None
+    revoked_at: str | None = None
+    last_used_at: str | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class AuditRecord:
+    """Who did what, when, and how it ended (an HTTP status); ``count`` times since ``at``."""
+
+    at: str
+    tenant: str
+    actor: str
+    address: str
+    action: str
+    target: str
+    outcome: int
+    count: int = 1
+    request_id: str = ""
+    number: int = 0

@@ -10,7 +10,8 @@ from sqlalchemy import Connection, Table, delete, insert, select
 
 from service.errors import ConflictError
 from service.store import models, sessions
-from service.store.base import ModelRecord, SessionRecord
+from service.store.base import NO_QUOTAS, ModelRecord, Quotas, SessionRecord
+from service.store.scope import SessionKey, public_id
 from service.store.tables import backgrounds, estimates, events, frames, particles
 from service.store.tables import sessions as sessions_table
 
@@ -32,7 +33,7 @@ class StoredSession:
     events: Rows
 
 
-def read(connection: Connection, session_id: str) -> StoredSession:
+def read(connection: Connection, session_id: SessionKey) -> StoredSession:
     """The session as it stands. Raises ``NotFoundError``."""
     record = sessions.get(connection, session_id)
     model = models.get(connection, record.model_id)
@@ -50,14 +51,14 @@ def read(connection: Connection, session_id: str) -> StoredSession:
     )
 
 
-def write(connection: Connection, given: StoredSession) -> bool:
+def write(connection: Connection, given: StoredSession, quotas: Quotas = NO_QUOTAS) -> bool:
     """Put the session in, in place of an earlier stand of the same one. Returns whether it is new here.
 
-    Raises ``ConflictError`` where the stored session is another one or has gone further.
+    Raises ``ConflictError`` where the stored session is another one or has gone further, ``QuotaExceededError``.
     """
     record = given.record
     old = _earlier(connection, given)
-    models.add(connection, given.model, given.model_file)
+    models.add(connection, given.model, given.model_file, quotas)
     if given.background is not None and record.background_key is not None:
         models.put_blob(connection, record.background_key, given.background)
     if old is not None:
@@ -65,7 +66,7 @@ def write(connection: Connection, given: StoredSession) -> bool:
         if old.background_key != record.background_key:
             models.drop_blob_if_unused(connection, old.background_key)
         record = replace(record, epoch=old.epoch + 1)  # whoever owned it can write no more
-    sessions.add(connection, record)
+    sessions.add(connection, record, quotas)
     for table, rows in (
         (backgrounds, given.backgrounds),
         (frames, given.frames),
@@ -89,7 +90,7 @@ def _earlier(connection: Connection, given: StoredSession) -> SessionRecord | No
     theirs = {row["idx"]: row["sha256"] for row in given.frames}
     if old.model_id != given.record.model_id or not mine.items() <= theirs.items():
         raise ConflictError(
-            f"session {old.id} is here with other frames, or further on",
+            f"session {public_id(old.id)} is here with other frames, or further on",
             field="session_id",
             frames=old.next_index,
             frames_in_checkpoint=given.record.next_index,
@@ -97,7 +98,7 @@ def _earlier(connection: Connection, given: StoredSession) -> SessionRecord | No
     return old
 
 
-def _rows(connection: Connection, table: Table, session_id: str) -> list[dict[str, Any]]:
+def _rows(connection: Connection, table: Table, session_id: SessionKey) -> list[dict[str, Any]]:
     query = select(table).where(table.c.session_id == session_id).order_by(*table.primary_key.columns)
     # str(): the mapping has keys of a class of its own, which does not go into JSON.
     return [{str(name): value for name, value in row._mapping.items()} for row in connection.execute(query)]

@@ -22,7 +22,7 @@ log = structlog.get_logger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 
-NEWEST_REVISION = "0002"
+NEWEST_REVISION = "0003"
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000")
 
 
@@ -51,9 +51,13 @@ class Database:
         assert self._reader is not None, "open() comes first"
         return self._reader
 
-    async def open(self) -> None:
-        """Lock the directory, open the file, bring its schema up to date."""
-        await asyncio.get_running_loop().run_in_executor(self._write_thread, self._open)
+    async def open(self, *, beside: bool = False) -> None:
+        """Lock the directory, open the file, bring its schema up to date.
+
+        ``beside`` a service that holds the lock it opens without, if that service is of this release. Raises
+        ``StorageError``.
+        """
+        await asyncio.get_running_loop().run_in_executor(self._write_thread, self._open, beside)
 
     async def write(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
         """Run ``function(connection, ...)`` in the writing thread as one transaction.
@@ -92,20 +96,29 @@ class Database:
             log.error("database refused", error=str(error.orig))
             raise StorageError(f"the database refused: {error.orig}") from error
 
-    def _open(self) -> None:
+    def _open(self, beside: bool) -> None:
         self._directory.mkdir(parents=True, exist_ok=True)
+        in_use = self._take_lock()
+        if in_use is not None and not beside:
+            raise StorageError(f"{self._directory} is in use by another service") from in_use
+        file = self._directory / "skypose.sqlite3"
+        self._writer = _engine(file, 1, "BEGIN IMMEDIATE")
+        with self._writer.begin() as connection:
+            if in_use is None:
+                migrate(connection)
+            elif _revision(connection) != NEWEST_REVISION:
+                raise StorageError(f"{self._directory} is in use by a service of another release")
+        self._reader = _engine(file, self._n_readers, "BEGIN")
+
+    def _take_lock(self) -> OSError | None:
         lock = (self._directory / "lock").open("wb")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             lock.close()
-            raise StorageError(f"{self._directory} is in use by another service") from error
+            return error
         self._lock = lock
-        file = self._directory / "skypose.sqlite3"
-        self._writer = _engine(file, 1, "BEGIN IMMEDIATE")
-        with self._writer.begin() as connection:
-            migrate(connection)
-        self._reader = _engine(file, self._n_readers, "BEGIN")
+        return None
 
     def _close(self) -> None:
         for engine in (self._reader, self._writer):
@@ -122,10 +135,8 @@ def migrate(connection: Connection) -> None:
 
     Raises ``StorageError`` for a database of a newer release.
     """
-    if inspect(connection).has_table("alembic_version"):
-        present = connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar()
-        if present == NEWEST_REVISION:
-            return
+    if _revision(connection) == NEWEST_REVISION:
+        return
     from alembic import command
     from alembic.config import Config
     from alembic.util import CommandError
@@ -137,6 +148,13 @@ def migrate(connection: Connection) -> None:
         command.upgrade(config, "head")
     except CommandError as error:
         raise StorageError(f"the database is not one that this release can open: {error}") from error
+
+
+def _revision(connection: Connection) -> str | None:
+    if not inspect(connection).has_table("alembic_version"):
+        return None
+    revision: str | None = connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar()
+    return revision
 
 
 def _engine(file: Path, connections: int, begin: str) -> Engine:

@@ -7,6 +7,7 @@ from sqlalchemy import Connection, delete, insert, select
 from service.errors import GoneError, NotFoundError
 from service.store import sessions as session_queries
 from service.store.base import FrameRecord, Retention, StoredBelief, StoredEvent, StoredFrame
+from service.store.scope import SessionKey
 from service.store.tables import beliefs, estimates, events, frame_bodies, frames, particles
 
 
@@ -43,7 +44,7 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
     return row.next_seq
 
 
-def _forget(connection: Connection, session_id: str, newest: int, retention: Retention) -> None:
+def _forget(connection: Connection, session_id: SessionKey, newest: int, retention: Retention) -> None:
     old_bodies = frame_bodies.c.idx <= newest - retention.frame_bodies
     connection.execute(delete(frame_bodies).where(frame_bodies.c.session_id == session_id, old_bodies))
     old_sets = particles.c.idx <= newest - retention.particle_sets
@@ -54,7 +55,7 @@ def _forget(connection: Connection, session_id: str, newest: int, retention: Ret
 
 
 def find(
-    connection: Connection, session_id: str, *, index: int | None, key: str | None
+    connection: Connection, session_id: SessionKey, *, index: int | None, key: str | None
 ) -> tuple[StoredFrame | None, StoredFrame | None]:
     """The stored frames at this index and under this idempotency key; None where there is none."""
 
@@ -68,7 +69,7 @@ def find(
     return one(frames.c.idx, index), one(frames.c.idempotency_key, key)
 
 
-def estimate(connection: Connection, session_id: str, index: int | None) -> bytes:
+def estimate(connection: Connection, session_id: SessionKey, index: int | None) -> bytes:
     """The estimate at ``index`` (None: the newest), as stored. Raises ``NotFoundError``."""
     query = select(estimates.c.document).where(estimates.c.session_id == session_id)
     query = query.order_by(estimates.c.idx.desc()) if index is None else query.where(estimates.c.idx == index)
@@ -79,7 +80,7 @@ def estimate(connection: Connection, session_id: str, index: int | None) -> byte
     return document
 
 
-def estimate_page(connection: Connection, session_id: str, after: int, limit: int) -> list[tuple[int, bytes]]:
+def estimate_page(connection: Connection, session_id: SessionKey, after: int, limit: int) -> list[tuple[int, bytes]]:
     """Index and document of estimates after index ``after``. Raises ``NotFoundError``: no such session."""
     session_queries.get(connection, session_id)
     query = (
@@ -91,7 +92,7 @@ def estimate_page(connection: Connection, session_id: str, after: int, limit: in
     return [(row.idx, row.document) for row in connection.execute(query)]
 
 
-def belief_page(connection: Connection, session_id: str, first: int) -> list[StoredBelief]:
+def belief_page(connection: Connection, session_id: SessionKey, first: int) -> list[StoredBelief]:
     """Time and packed modes of frame ``first`` and all after it. Raises ``NotFoundError``: no such session."""
     session_queries.get(connection, session_id)
     same = (beliefs.c.session_id == frames.c.session_id) & (beliefs.c.idx == frames.c.idx)
@@ -104,7 +105,7 @@ def belief_page(connection: Connection, session_id: str, first: int) -> list[Sto
     return [StoredBelief(row.idx, row.time_s, row.belief) for row in connection.execute(query)]
 
 
-def event_page(connection: Connection, session_id: str, after: int, limit: int) -> list[StoredEvent]:
+def event_page(connection: Connection, session_id: SessionKey, after: int, limit: int) -> list[StoredEvent]:
     """Events numbered after ``after``, with their estimates."""
     query = (
         select(events.c.seq, estimates.c.document)
@@ -116,12 +117,12 @@ def event_page(connection: Connection, session_id: str, after: int, limit: int) 
     return [StoredEvent(row.seq, row.document) for row in connection.execute(query)]
 
 
-def last_seq(connection: Connection, session_id: str) -> int:
+def last_seq(connection: Connection, session_id: SessionKey) -> int:
     """Number of the newest event (0: none yet). Raises ``NotFoundError``."""
     return session_queries.get(connection, session_id).next_seq - 1
 
 
-def body(connection: Connection, session_id: str, index: int) -> tuple[bytes, str]:
+def body(connection: Connection, session_id: SessionKey, index: int) -> tuple[bytes, str]:
     """File and media type of a frame. Raises ``NotFoundError``, ``GoneError`` where it is not kept."""
     at = (frames.c.session_id == session_id, frames.c.idx == index)
     media_type: str | None = connection.execute(select(frames.c.media_type).where(*at)).scalar()
@@ -137,7 +138,7 @@ def body(connection: Connection, session_id: str, index: int) -> tuple[bytes, st
     return data, media_type
 
 
-def particle_set(connection: Connection, session_id: str, index: int | None) -> tuple[int, bytes]:
+def particle_set(connection: Connection, session_id: SessionKey, index: int | None) -> tuple[int, bytes]:
     """Index and packed state (None: the newest). Raises ``NotFoundError`` or ``GoneError``."""
     record = session_queries.get(connection, session_id)
     wanted = record.next_index - 1 if index is None else index

@@ -5,49 +5,56 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, insert, or_, select
+from sqlalchemy import Connection, Row, delete, func, insert, or_, select
 
-from service.errors import ModelInUseError, NotFoundError
-from service.store.base import ModelRecord
+from service.errors import ModelInUseError, NotFoundError, QuotaExceededError
+from service.store.base import NO_QUOTAS, ModelRecord, Quotas
+from service.store.scope import ModelKey, public_id
 from service.store.tables import blobs, contenders, models, sessions
 
 
-def add(connection: Connection, record: ModelRecord, data: bytes) -> None:
-    """Store a model and its file, unless the same is there."""
+def add(connection: Connection, record: ModelRecord, data: bytes, quotas: Quotas = NO_QUOTAS) -> None:
+    """Store a model and its file, unless the same is there. Raises ``QuotaExceededError``."""
     if find(connection, record.id) is None:
+        count = connection.execute(select(func.count()).where(models.c.tenant == record.tenant)).scalar_one()
+        if quotas.models and count >= quotas.models:
+            raise QuotaExceededError(f"{count} models are there", limit=quotas.models, setting="SKYPOSE_QUOTA_MODELS")
         put_blob(connection, record.blob_key, data)
         values = {name: getattr(record, name) for name in models.columns.keys() if name != "number"}  # noqa: SIM118
         connection.execute(insert(models).values({**values, "joints": _list(record.joints)}))
 
 
-def find(connection: Connection, model_id: str) -> ModelRecord | None:
+def find(connection: Connection, model_id: ModelKey) -> ModelRecord | None:
     """The model, or None."""
     row = connection.execute(select(models).where(models.c.id == model_id)).first()
     return None if row is None else _record(row)
 
 
-def get(connection: Connection, model_id: str) -> ModelRecord:
+def get(connection: Connection, model_id: ModelKey) -> ModelRecord:
     """The model. Raises ``NotFoundError``."""
     record = find(connection, model_id)
     if record is None:
-        raise NotFoundError(f"no model {model_id}", field="model_id")
+        raise NotFoundError(f"no model {public_id(model_id)}", field="model_id")
     return record
 
 
-def page(connection: Connection, after: int, limit: int) -> list[ModelRecord]:
-    """Models in order of creation, from number ``after`` on."""
-    query = select(models).where(models.c.number > after).order_by(models.c.number).limit(limit)
+def page(connection: Connection, tenant: str, after: int, limit: int) -> list[ModelRecord]:
+    """A tenant's models in order of creation, from number ``after`` on."""
+    query = select(models).where(models.c.tenant == tenant, models.c.number > after)
+    query = query.order_by(models.c.number).limit(limit)
     return [_record(row) for row in connection.execute(query)]
 
 
-def remove(connection: Connection, model_id: str) -> None:
+def remove(connection: Connection, model_id: ModelKey) -> None:
     """Delete a model and its file. Raises ``ModelInUseError`` while a session needs it."""
     record = get(connection, model_id)
     named = select(sessions.c.id).where(sessions.c.model_id == model_id)
     compared = select(contenders.c.session_id.label("id")).where(contenders.c.model_id == model_id)
     users = connection.execute(named.union(compared).limit(5)).all()
     if users:
-        raise ModelInUseError(f"sessions need model {model_id}", sessions=[row.id for row in users])
+        raise ModelInUseError(
+            f"sessions need model {public_id(model_id)}", sessions=[public_id(row.id) for row in users]
+        )
     connection.execute(delete(models).where(models.c.id == model_id))
     drop_blob_if_unused(connection, record.blob_key)
 

@@ -8,15 +8,17 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, insert, select, update
 
-from service.errors import NotFoundError, StaleOwnerError
+from service.errors import NotFoundError, QuotaExceededError, StaleOwnerError
 from service.store import models
-from service.store.base import BackgroundRecord, SessionRecord, StoredContender
+from service.store.base import NO_QUOTAS, BackgroundRecord, Quotas, SessionRecord, StoredContender
+from service.store.scope import SessionKey, public_id
 from service.store.tables import backgrounds, contenders, particles, sessions
 
 
-def add(connection: Connection, record: SessionRecord) -> None:
-    """Store a new session. Raises ``NotFoundError`` where its model has gone."""
+def add(connection: Connection, record: SessionRecord, quotas: Quotas = NO_QUOTAS) -> None:
+    """Store a new session. Raises ``NotFoundError`` where its model has gone, ``QuotaExceededError``."""
     models.get(connection, record.model_id)
+    _require_room(connection, record, quotas)
     values = {name: getattr(record, name) for name in sessions.columns.keys() if name != "number"}  # noqa: SIM118
     connection.execute(insert(sessions).values({**values, "warnings": list(record.warnings)}))
     for model_id in record.model_ids:
@@ -24,41 +26,63 @@ def add(connection: Connection, record: SessionRecord) -> None:
     put_contenders(connection, record.id, [StoredContender(model_id, None, 0.0) for model_id in record.model_ids])
 
 
-def get(connection: Connection, session_id: str) -> SessionRecord:
+def _require_room(connection: Connection, record: SessionRecord, quotas: Quotas) -> None:
+    count, particle_sum = holdings(connection, record.tenant)
+    wanted = int(record.config.get("filter", {}).get("particles", 0))
+    if quotas.sessions and count >= quotas.sessions:
+        raise QuotaExceededError(f"{count} sessions are there", limit=quotas.sessions, setting="SKYPOSE_QUOTA_SESSIONS")
+    if quotas.particles and particle_sum + wanted > quotas.particles:
+        raise QuotaExceededError(
+            f"its sessions have {particle_sum} particles, and this one asks for {wanted}",
+            limit=quotas.particles,
+            setting="SKYPOSE_QUOTA_PARTICLES",
+        )
+
+
+def get(connection: Connection, session_id: SessionKey) -> SessionRecord:
     """The session. Raises ``NotFoundError``."""
     row = connection.execute(select(sessions).where(sessions.c.id == session_id)).first()
     if row is None:
-        raise NotFoundError(f"no session {session_id}", field="session_id")
+        raise NotFoundError(f"no session {public_id(session_id)}", field="session_id")
     return _with_models(connection, _record(row))
 
 
-def page(connection: Connection, after: int, limit: int) -> list[SessionRecord]:
-    """Sessions in order of creation, from number ``after`` on."""
-    query = select(sessions).where(sessions.c.number > after).order_by(sessions.c.number).limit(limit)
+def page(connection: Connection, tenant: str, after: int, limit: int) -> list[SessionRecord]:
+    """A tenant's sessions in order of creation, from number ``after`` on."""
+    query = select(sessions).where(sessions.c.tenant == tenant, sessions.c.number > after)
+    query = query.order_by(sessions.c.number).limit(limit)
     return [_with_models(connection, _record(row)) for row in connection.execute(query).all()]
 
 
-def claim(connection: Connection, session_id: str) -> tuple[SessionRecord, bytes | None]:
+def holdings(connection: Connection, tenant: str) -> tuple[int, int]:
+    """How many sessions a tenant has, and how many particles they have together."""
+    particles_each = sessions.c.config["filter"]["particles"].as_integer()
+    query = select(func.count(), func.coalesce(func.sum(particles_each), 0)).where(sessions.c.tenant == tenant)
+    count, particle_sum = connection.execute(query).one()
+    return count, particle_sum
+
+
+def claim(connection: Connection, session_id: SessionKey) -> tuple[SessionRecord, bytes | None]:
     """Become the session's owner: raise its epoch, and read it with its newest packed state."""
     connection.execute(update(sessions).where(sessions.c.id == session_id).values(epoch=sessions.c.epoch + 1))
     record = get(connection, session_id)
     return record, state(connection, session_id, record.next_index - 1)
 
 
-def state(connection: Connection, session_id: str, index: int) -> bytes | None:
+def state(connection: Connection, session_id: SessionKey, index: int) -> bytes | None:
     """The packed state after frame ``index``, or None where none is kept."""
     query = select(particles.c.state).where(particles.c.session_id == session_id, particles.c.idx == index)
     data: bytes | None = connection.execute(query).scalar()
     return data
 
 
-def compared(connection: Connection, session_id: str) -> list[StoredContender]:
+def compared(connection: Connection, session_id: SessionKey) -> list[StoredContender]:
     """The models that a session compares, in its order; none for a plain session."""
     query = select(contenders).where(contenders.c.session_id == session_id).order_by(contenders.c.ordinal)
     return [StoredContender(row.model_id, row.state, row.log_evidence) for row in connection.execute(query)]
 
 
-def put_contenders(connection: Connection, session_id: str, given: Sequence[StoredContender]) -> None:
+def put_contenders(connection: Connection, session_id: SessionKey, given: Sequence[StoredContender]) -> None:
     """Store the compared models in place of their earlier stand; nothing to do where there are none."""
     if given:
         connection.execute(delete(contenders).where(contenders.c.session_id == session_id))
@@ -67,21 +91,21 @@ def put_contenders(connection: Connection, session_id: str, given: Sequence[Stor
         connection.execute(insert(contenders).values(session_id=session_id, ordinal=ordinal, **values))
 
 
-def remove(connection: Connection, session_id: str) -> None:
+def remove(connection: Connection, session_id: SessionKey) -> None:
     """Delete a session with all its history. Raises ``NotFoundError``."""
     record = get(connection, session_id)
     connection.execute(delete(sessions).where(sessions.c.id == session_id))
     models.drop_blob_if_unused(connection, record.background_key)
 
 
-def advance(connection: Connection, session_id: str, epoch: int, **values: Any) -> None:
+def advance(connection: Connection, session_id: SessionKey, epoch: int, **values: Any) -> None:
     """Update the row in the name of an owner. Raises ``StaleOwnerError`` for any but the present."""
     query = update(sessions).where(sessions.c.id == session_id, sessions.c.epoch == epoch).values(**values)
     if connection.execute(query).rowcount != 1:
-        raise StaleOwnerError(f"session {session_id} was deleted or has another owner")
+        raise StaleOwnerError(f"session {public_id(session_id)} was deleted or has another owner")
 
 
-def find_background(connection: Connection, session_id: str, idempotency_key: str) -> tuple[str, int] | None:
+def find_background(connection: Connection, session_id: SessionKey, idempotency_key: str) -> tuple[str, int] | None:
     """SHA-256 and frame count of the background call that used this key, or None."""
     query = select(backgrounds.c.sha256, backgrounds.c.frames).where(
         backgrounds.c.session_id == session_id, backgrounds.c.idempotency_key == idempotency_key

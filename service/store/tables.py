@@ -7,6 +7,7 @@ from sqlalchemy import (
     Column,
     Float,
     ForeignKey,
+    Index,
     Integer,
     LargeBinary,
     MetaData,
@@ -46,6 +47,8 @@ models = Table(
     Column("joints", JSON),
     Column("report", JSON, nullable=False),
     Column("created_at", String, nullable=False),
+    Column("tenant", String, nullable=False, server_default="default"),
+    Index("ix_models_tenant_number", "tenant", "number"),
     sqlite_autoincrement=True,
 )
 
@@ -69,6 +72,8 @@ sessions = Table(
     Column("background_key", String, ForeignKey("blobs.key")),
     Column("background_frames", Integer, nullable=False),
     Column("background_info", JSON),
+    Column("tenant", String, nullable=False, server_default="default"),
+    Index("ix_sessions_tenant_number", "tenant", "number"),
     sqlite_autoincrement=True,
 )
 
@@ -149,4 +154,38 @@ events = Table(
     Column("seq", Integer, primary_key=True, autoincrement=False),
     Column("kind", String, nullable=False),
     Column("idx", Integer, nullable=False),
+)
+
+api_keys = Table(
+    "api_keys",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("id", String, nullable=False, unique=True),
+    Column("sha256", String, nullable=False),
+    Column("tenant", String, nullable=False),
+    Column("role", String, nullable=False),
+    Column("name", String, nullable=False),
+    Column("created_at", String, nullable=False),
+    Column("expires_at", String),
+    Column("revoked_at", String),
+    Column("last_used_at", String),
+    sqlite_autoincrement=True,
+)
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("at", String, nullable=False),
+    Column("tenant", String, nullable=False),
+    Column("actor", String, nullable=False),
+    Column("address", String, nullable=False),
+    Column("action", String, nullable=False),
+    Column("target", String, nullable=False),
+    Column("outcome", Integer, nullable=False),
+    Column("count", Integer, nullable=False),
+    Column("request_id", String, nullable=False),
+    Index("ix_audit_tenant_number", "tenant", "number"),
+    Index("ix_audit_at", "at"),
+    sqlite_autoincrement=True,
 )

@@ -1,0 +1,73 @@
+"""Who calls, and may they: what every route declares.
+
+A route takes ``Reader``, ``Operator`` or ``Admin`` (the ``Principal``, at least of that role), or, where its path names
+a session or a model, ``ReadSession``, ``OperateSession``, ``ReadModel``, ``OperateModel``: the row's key, which only
+that principal's tenant can make. A test holds every route to it.
+"""
+
+# No ``from __future__ import annotations`` here: FastAPI could not see the local names in them.
+
+from collections.abc import Awaitable, Callable
+from typing import Annotated
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from service.access.gate import Shown
+from service.access.principal import ModelKey, Principal, Role, SessionKey
+from service.api.services import services_of
+
+TICKETS_FOR = ("/stream", "/events")
+PRINCIPAL = "principal"  # where a request's state keeps it, for the middlewares
+
+
+async def admit(connection: HTTPConnection) -> Principal:
+    """Who calls, after one look at credentials, origin and rate. Raises what the gate and the limits do."""
+    services = services_of(connection)
+    headers = connection.headers
+    takes_tickets = connection.url.path.endswith(TICKETS_FOR)
+    principal = await services.gate.admit(
+        Shown(
+            authorization=headers.get("authorization"),
+            ticket=connection.query_params.get("ticket") if takes_tickets else None,
+            host=headers.get("host", ""),
+            origin=headers.get("origin"),
+        )
+    )
+    connection.scope.setdefault("state", {})[PRINCIPAL] = principal
+    services.limits.check(principal, "calls")
+    services.limits.take(principal, "calls", 1)
+    return principal
+
+
+def _of_role(role: Role) -> Callable[[Principal], Awaitable[Principal]]:
+    async def principal_of_role(principal: Annotated[Principal, Depends(admit)]) -> Principal:
+        principal.require(role)
+        return principal
+
+    return principal_of_role
+
+
+def _session(role: Role) -> Callable[[str, Principal], Awaitable[SessionKey]]:
+    async def session_of_tenant(
+        session_id: str, principal: Annotated[Principal, Depends(_of_role(role))]
+    ) -> SessionKey:
+        return principal.session(session_id)
+
+    return session_of_tenant
+
+
+def _model(role: Role) -> Callable[[str, Principal], Awaitable[ModelKey]]:
+    async def model_of_tenant(model_id: str, principal: Annotated[Principal, Depends(_of_role(role))]) -> ModelKey:
+        return principal.model(model_id)
+
+    return model_of_tenant
+
+
+Reader = Annotated[Principal, Depends(_of_role(Role.READ))]
+Operator = Annotated[Principal, Depends(_of_role(Role.OPERATE))]
+Admin = Annotated[Principal, Depends(_of_role(Role.ADMIN))]
+ReadSession = Annotated[SessionKey, Depends(_session(Role.READ))]
+OperateSession = Annotated[SessionKey, Depends(_session(Role.OPERATE))]
+ReadModel = Annotated[ModelKey, Depends(_model(Role.READ))]
+OperateModel = Annotated[ModelKey, Depends(_model(Role.OPERATE))]

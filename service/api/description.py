@@ -1,0 +1,24 @@
+"""The API's OpenAPI document: what FastAPI gathers from the routes, and what holds for all of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import FastAPI
+
+from service.api.schemas import Problem
+
+_BEARER = {"type": "http", "scheme": "bearer", "description": "API key or OIDC token; none is needed on loopback"}
+
+
+class DescribedApi(FastAPI):
+    """FastAPI with the parts of its description that no route brings."""
+
+    def openapi(self) -> dict[str, Any]:
+        """The document, made once."""
+        if self.openapi_schema is None:
+            document = super().openapi()
+            document["components"]["schemas"]["Problem"] = Problem.model_json_schema()
+            document["components"]["securitySchemes"] = {"bearer": _BEARER}
+            document["security"] = [{"bearer": []}, {}]
+        return super().openapi()
