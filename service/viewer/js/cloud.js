@@ -1,7 +1,7 @@
 // The particles on the sphere of orientations: each point is where the telescope stands, seen from the body; its
 // tick is the image's up direction there. Point and tick together are the whole orientation, so twins are two clouds.
 import {
-  AdditiveBlending, BufferAttribute, BufferGeometry, Color, Group, LineBasicMaterial, LineSegments, Line, Points,
+  BufferAttribute, BufferGeometry, Color, Group, LineBasicMaterial, LineSegments, Line, Points,
   OrthographicCamera, Quaternion, Scene, ShaderMaterial, Vector3,
 } from "../vendor/three/three.module.min.js";
 import { modeColour } from "./colours.js";
@@ -30,7 +30,7 @@ const DOT = `varying vec4 shade;
 const STROKE = "varying vec4 shade; void main() { gl_FragColor = vec4(shade.rgb, shade.a * 0.5); }";
 
 const material = (fragmentShader) => new ShaderMaterial({ vertexShader: VERTEX, fragmentShader, transparent: true,
-  depthWrite: false, blending: AdditiveBlending, uniforms: { size: { value: 4 } } });
+  depthWrite: false, depthTest: false, uniforms: { size: { value: 4 } } });
 
 export class CloudView {
   constructor(figure, api) {
@@ -48,7 +48,7 @@ export class CloudView {
     this.globe.add(this.trail, this.ticks, this.points);
     this.scene = new Scene().add(this.globe, ...lights());
     this.painter = new Painter(figure.querySelector(".stage"), (width, height) => this.draw(width, height));
-    this.turn = makeTurnable(canvas, () => this.painter.request());
+    this.turnable = makeTurnable(canvas, () => this.painter.request());
     canvas.addEventListener("dblclick", () => this.resetView());
     this.reset(null);
   }
@@ -77,7 +77,8 @@ export class CloudView {
   resetView() {
     if (!this.estimate) return;
     const { towards } = lineOfSight(this.estimate.best.orientation);
-    this.turn.setFromUnitVectors(towards, new Vector3(0.25, 0.2, 1).normalize());
+    this.turnable.reset();
+    this.turnable.turn.setFromUnitVectors(towards, new Vector3(0.25, 0.2, 1).normalize());
     this.painter.request();
   }
 
@@ -144,12 +145,12 @@ export class CloudView {
   draw(width, height) {
     if (!this.renderer) return;
     fitRenderer(this.renderer, width, height);
-    const reach = 1.32 / Math.min(width, height);
+    const reach = 1.42 / this.turnable.zoom / Math.min(width, height);
     Object.assign(this.camera, { left: -reach * width, right: reach * width, top: reach * height,
       bottom: -reach * height, near: 0, far: 20 });
     this.camera.updateProjectionMatrix();
-    this.globe.quaternion.copy(this.turn);
-    this.points.material.uniforms.size.value = 0.011 * Math.min(width, height) * Math.min(devicePixelRatio, 2);
+    this.globe.quaternion.copy(this.turnable.turn);
+    this.points.material.uniforms.size.value = 0.014 * Math.min(width, height) * Math.min(devicePixelRatio, 2);
     this.renderer.render(this.scene, this.camera);
   }
 }
@@ -199,5 +200,5 @@ function graticule() {
     circle((t) => new Vector3(Math.cos(t), 0, Math.sin(t)).applyQuaternion(turned));
   }
   return new LineSegments(new BufferGeometry().setFromPoints(at),
-    new LineBasicMaterial({ color: 0x6d86a6, transparent: true, opacity: 0.16 }));
+    new LineBasicMaterial({ color: 0x6d86a6, transparent: true, opacity: 0.3 }));
 }

@@ -1,5 +1,5 @@
 // One colour per mode, by rank: the same in outlines, cloud, list and plots.
-export const MODES = ["#4da3ff", "#ffb454", "#c792ea", "#5ad4a6", "#ff7a90", "#9fb0c3"];
+export const MODES = ["#4da3ff", "#ffb454", "#c792ea", "#5ad4a6", "#ff7a90", "#e6dc6a", "#b98b6b", "#9fb0c3"];
 export const modeColour = (rank) => MODES[Math.min(rank, MODES.length - 1)];
 
 export const STATUS = {

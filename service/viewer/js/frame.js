@@ -121,7 +121,7 @@ export class FrameView {
       width: rank === chosen ? 1.8 : 0.7,
       strength: rank === chosen ? 1 : 0.45 + 0.5 * mode.weight,
       tint: 0,
-    })).slice(1, 6).reverse();
+    })).slice(1, 8).reverse();
     const best = { pose: shown.best, colour: modeColour(0), width: 1.4, strength: 1, tint: 0.13 };
     return [...lines, best];
   }

@@ -45,9 +45,12 @@ export function fitRenderer(renderer, width, height) {
   }
 }
 
-// `turn` is what the viewer has turned the scene by; a drag, or the arrow keys on a focused view, change it.
+// What the viewer has turned the scene by, and how close it is: by drag, and on a focused view by arrow keys, plus and
+// minus, and the wheel (elsewhere the wheel scrolls the page).
 export function makeTurnable(canvas, changed) {
   const turn = new Quaternion();
+  const view = { turn, zoom: 1, reset() { turn.identity(); view.zoom = 1; } };
+  const zoom = (factor) => { view.zoom = Math.min(Math.max(view.zoom * factor, 0.5), 20); changed(); };
   const rotate = (dx, dy) => {
     turn.premultiply(new Quaternion().setFromAxisAngle(Y, dx)).premultiply(new Quaternion().setFromAxisAngle(X, dy));
     changed();
@@ -56,12 +59,18 @@ export function makeTurnable(canvas, changed) {
   canvas.addEventListener("pointermove", (event) => {
     if (canvas.hasPointerCapture(event.pointerId)) rotate(event.movementX * 0.01, event.movementY * 0.01);
   });
+  canvas.addEventListener("wheel", (event) => {
+    if (document.activeElement !== canvas) return;
+    event.preventDefault();
+    zoom(Math.exp(-event.deltaY * 0.002));
+  }, { passive: false });
   canvas.addEventListener("keydown", (event) => {
+    if (event.key === "+" || event.key === "-") zoom(event.key === "+" ? 1.2 : 1 / 1.2);
     const step = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }[event.key];
     if (!step) return;
     event.preventDefault();
     event.stopPropagation(); // the page's own arrows step through the frames
     rotate(...step);
   });
-  return turn;
+  return view;
 }

@@ -53,7 +53,7 @@ export function addHeading(api, { deleted }) {
     show(estimate) {
       arrived = performance.now();
       if ($("status").firstChild?.className !== `badge ${estimate.status}`) $("status").replaceChildren(badge(estimate.status));
-      $("moment").textContent = `${model ? `${model} · ` : ""}frame ${estimate.index} · ${estimate.time.replace("T", " ").replace("Z", " UTC")}`;
+      $("moment").textContent = `${model ? `${model} · ` : ""}frame ${estimate.index} · ${when(estimate.time)}`;
     },
     // The lamp in the page's head, and the mark over everything that may not be the newest.
     link(stream, shown, past) {
@@ -75,6 +75,10 @@ export function addHeading(api, { deleted }) {
 function quiet(shown, arrived) {
   const seconds = Math.floor((performance.now() - arrived) / 1000);
   return !shown || seconds < 5 ? "live" : "live, no new frame";
+}
+
+function when(time) {
+  return `${time.slice(0, 10)} ${time.slice(11, 23).replace("Z", "")} UTC`;
 }
 
 async function save(api, id, format) {

@@ -1,5 +1,5 @@
 // What the page knows of a pass: one small row per frame for the plots, and the newest documents in full.
-const PAGE = 500, AT_FIRST = 2000, MOST_ROWS = 20_000, MOST_DOCUMENTS = 600, MOST_MODES = 6;
+const PAGE = 500, AT_FIRST = 2000, MOST_ROWS = 20_000, MOST_DOCUMENTS = 600, MOST_MODES = 8;
 
 export class History {
   constructor(api, sessionId) {

@@ -1,7 +1,7 @@
 // The model in its attitude, as the telescope sees it; a drag walks around it.
 import {
   ArrowHelper, CanvasTexture, DirectionalLight, EdgesGeometry, Group, HemisphereLight, LineBasicMaterial, LineSegments,
-  MeshStandardMaterial, DoubleSide, OrthographicCamera, Scene, Sprite, SpriteMaterial, Vector3,
+  MeshStandardMaterial, DoubleSide, OrthographicCamera, Scene, Sprite, SRGBColorSpace, SpriteMaterial, Vector3,
 } from "../vendor/three/three.module.min.js";
 import { fitRenderer, makeTurnable, openRenderer, Painter } from "./gl.js";
 import { onScreen } from "./rotation.js";
@@ -36,7 +36,9 @@ function letter(name, colour) {
   context.textBaseline = "middle";
   context.fillStyle = `#${colour.toString(16)}`;
   context.fillText(name, 32, 34);
-  return new CanvasTexture(canvas);
+  const texture = new CanvasTexture(canvas);
+  texture.colorSpace = SRGBColorSpace;
+  return texture;
 }
 
 // The body in its colours, creases drawn where the mesh is small enough.
@@ -48,9 +50,9 @@ export function drawn(body) {
 }
 
 export function lights() {
-  const sun = new DirectionalLight(0xffffff, 2.6);
+  const sun = new DirectionalLight(0xffffff, 3);
   sun.position.set(-0.6, 0.8, 1);
-  return [sun, new HemisphereLight(0xbfd4ff, 0x202838, 0.9)];
+  return [sun, new HemisphereLight(0xbfd4ff, 0x2a3548, 1.3)];
 }
 
 export class ModelView {
@@ -63,13 +65,13 @@ export class ModelView {
     this.camera = new OrthographicCamera();
     this.camera.position.z = 10;
     this.painter = new Painter(figure.querySelector(".stage"), (width, height) => this.draw(width, height));
-    this.turn = makeTurnable(canvas, () => this.painter.request());
+    this.turnable = makeTurnable(canvas, () => this.painter.request());
     canvas.addEventListener("dblclick", () => this.resetView());
     this.reset();
   }
 
   resetView() {
-    this.turn.identity();
+    this.turnable.reset();
     this.painter.request();
   }
 
@@ -97,12 +99,12 @@ export class ModelView {
   draw(width, height) {
     if (!this.renderer) return;
     fitRenderer(this.renderer, width, height);
-    const reach = 1.3 / Math.min(width, height);
+    const reach = 1.25 / this.turnable.zoom / Math.min(width, height);
     Object.assign(this.camera, { left: -reach * width, right: reach * width, top: reach * height,
       bottom: -reach * height, near: 0, far: 20 });
     this.camera.updateProjectionMatrix();
     this.holder.visible = Boolean(this.pose);
-    if (this.pose) this.holder.quaternion.copy(this.turn).multiply(onScreen(this.pose.orientation));
+    if (this.pose) this.holder.quaternion.copy(this.turnable.turn).multiply(onScreen(this.pose.orientation));
     this.renderer.render(this.scene, this.camera);
   }
 }

@@ -11,7 +11,7 @@ const POSE = [
 ].map((spec) => ({ ...spec, pose: true, least: 0.05, value: (row) => row.best[spec.key] }));
 
 const HEALTH = [
-  { name: "Weights of the modes", unit: "%", stack: true, range: [0, 1], value: (row) => 100 * (row.modes[0]?.weight ?? 0) },
+  { name: "Weights of the modes", unit: "%", stack: true, range: [0, 100], value: (row) => 100 * (row.modes[0]?.weight ?? 0) },
   { name: "Orientation spread of the heaviest mode", unit: "°", fromZero: true, value: (row) => row.accuracy },
   { name: "Effective sample size", unit: "particles", fromZero: true, colour: "#c792ea", value: (row) => row.ess },
   { name: "Latency", unit: "ms", fromZero: true, colour: "#5ad4a6", value: (row) => row.latency },
@@ -74,6 +74,8 @@ export class Plots {
 
   draw() {
     const { rows, cursor, live } = this.shown ?? {};
+    this.scene = null;
+    this.element.hidden = !rows?.length;
     if (!rows?.length) return;
     const [from, to] = this.span(rows, cursor);
     const seen = rows.filter((row) => row.time >= from && row.time <= to);

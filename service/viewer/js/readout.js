@@ -22,7 +22,11 @@ export class Readout {
   // `kinds`: joint name -> kind; `nameOf`: model id -> name
   show(estimate, kinds, nameOf) {
     const spread = estimate.modes[0]?.spread ?? estimate.spread;
-    fill(this.numbers, rows(estimate, spread, kinds).map(([name, value]) => [element("dt", name), element("dd", value)]).flat());
+    fill(this.numbers, rows(estimate, spread, kinds).map(([name, value]) => {
+      const pair = element("div");
+      pair.append(element("dt", name), element("dd", value));
+      return pair;
+    }));
     this.showModes(estimate.modes);
     fill(this.models, (estimate.models ?? []).map((model) => {
       const item = element("li", `${nameOf(model.model_id)} `);
@@ -72,7 +76,8 @@ function rows(estimate, spread, kinds) {
       ? `${value.toFixed(2)} ± ${spread.joints[name].toFixed(2)}${unit(name)}` : `${value.toFixed(2)}${unit(name)}, fixed`]),
     ...rates(estimate.rates),
     ["Particles", `${estimate.particles}, effective ${estimate.ess.toFixed(0)}`],
-    ["Time", `${(estimate.timing_ms.total ?? 0).toFixed(1)} ms, ${estimate.scorer}`],
+    ["Time", `${(estimate.timing_ms.total ?? 0).toFixed(1)} ms`],
+    ["Scorer", estimate.scorer],
   ];
 }
 

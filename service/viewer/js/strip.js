@@ -58,10 +58,9 @@ function rangeOf(rows, spec) {
     }
   }
   if (!(high >= low)) return [0, 1];
-  if (spec.fromZero) low = 0;
-  if (spec.angle) [low, high] = [Math.max(low, -180), Math.min(high, 180)];
   const margin = Math.max((high - low) * 0.08, spec.least ?? 0);
-  return [spec.fromZero ? 0 : low - margin, high + margin];
+  [low, high] = [spec.fromZero ? 0 : low - margin, high + margin];
+  return spec.angle ? [Math.max(low, -180), Math.min(high, 180)] : [low, high];
 }
 
 function drawGrid({ context, box, x, y }, range, scene) {
@@ -146,7 +145,8 @@ function drawStack({ context, box, rows, x }) {
     let y = box.y1;
     row.modes.forEach((mode, rank) => {
       context.fillStyle = modeColour(rank);
-      context.fillRect(from, y - mode.weight * height, Math.max(to - from, 1) + 0.5, mode.weight * height);
+      const left = Math.floor(from); // whole pixels: no seams between neighbours
+      context.fillRect(left, y - mode.weight * height, Math.max(Math.floor(to) - left, 1), mode.weight * height);
       y -= mode.weight * height;
     });
   });

@@ -29,7 +29,7 @@ export class Timeline {
     this.slider.value = index;
     this.slider.setAttribute("aria-valuetext", `frame ${index} of ${count}, ${estimate?.status ?? ""}`);
     this.liveButton.setAttribute("aria-pressed", String(live));
-    this.label.textContent = `${index + 1} / ${count}`;
+    this.label.textContent = `${index} / ${Math.max(count - 1, 0)}`;
     if (grown) this.drawRibbon();
   }
 

@@ -34,6 +34,7 @@ export class Watch {
     views.timeline.stop();
     views.timeline.show({ index: 0, count: 0, live: true, rows: [] });
     views.heading.open(session);
+    delete document.documentElement.dataset.shown;
     this.history = new History(this.api, session.session_id);
     this.begin(session, this.history).catch(tellProblem);
   }
