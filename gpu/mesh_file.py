@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 
 from gpu.gltf_check import check_glb
 from gpu.mesh_limits import MeshError, MeshLimits, require
+from gpu.urdf import read_urdf
+from gpu.urdf_archive import unpack_urdf
+from gpu.urdf_shapes import link_triangles
 
-FILE_TYPES = ("glb", "obj", "stl", "ply")
+FILE_TYPES = ("glb", "obj", "stl", "ply", "urdf")
 LARGEST_COORDINATE = 1e12
 DEFAULT_LIMITS = MeshLimits()
 _PLY_ELEMENTS = re.compile(rb"^\s*element\s+(vertex|face)\s+(\d{1,18})\s*$", re.M)
@@ -42,6 +45,8 @@ def read_parts(data: bytes, file_type: str, limits: MeshLimits = DEFAULT_LIMITS)
         raise MeshError(f"file type {file_type!r} is not one of {', '.join(FILE_TYPES)}")
     if not data:
         raise MeshError("the file is empty")
+    if kind == "urdf":
+        return _urdf_parts(data, limits)
     if kind == "glb":
         problem = check_glb(data, limits)
         if problem:
@@ -61,6 +66,23 @@ def read_parts(data: bytes, file_type: str, limits: MeshLimits = DEFAULT_LIMITS)
         faces=sum(len(faces) for _, _, faces in pieces),
     )
     parts = [_checked(name, vertices, faces) for name, vertices, faces in pieces]
+    if not any(len(part.faces) for part in parts):
+        raise MeshError("the file has no faces")
+    return parts
+
+
+def _urdf_parts(data: bytes, limits: MeshLimits) -> list[RawPart]:
+    """One part per link with a shape; its mesh files are read, and limited, like any other."""
+    document, meshes = unpack_urdf(data)
+
+    def read_mesh(body: bytes, suffix: str) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+        if suffix.lower() not in (".obj", ".stl", ".ply", ".glb"):
+            raise MeshError(f"URDF: mesh files of type {suffix or 'none'} are not read; OBJ, STL, PLY and GLB are")
+        return [(part.vertices, part.faces) for part in read_parts(body, suffix, limits)]
+
+    links = link_triangles(read_urdf(document, limits), meshes, read_mesh)
+    parts = [_checked(name, *_joined(pieces)) for name, pieces in links]
+    require(limits, vertices=sum(len(p.vertices) for p in parts), faces=sum(len(p.faces) for p in parts))
     if not any(len(part.faces) for part in parts):
         raise MeshError("the file has no faces")
     return parts

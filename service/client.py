@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar, Unpack
 
@@ -74,9 +75,13 @@ class Client:
         name: str | None = None,
         file_name: str | None = None,
         joints: Sequence[Mapping[str, Any]] | None = None,
+        meshes: Sequence[Path] | None = None,
     ) -> schemas.Model:
-        """Upload a mesh file; the same content again is the same model."""
-        return self.call(calls.upload_model(file, name, file_name, joints))
+        """Upload a mesh file; the same content again is the same model.
+
+        ``meshes``: the files that a URDF file names; those that lie near it are found where none are given.
+        """
+        return self.call(calls.upload_model(file, name, file_name, joints, meshes))
 
     def model(self, model_id: str) -> schemas.Model:
         """One model."""

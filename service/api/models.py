@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import orjson
 from fastapi import APIRouter, Query, Request, Response
-from starlette.datastructures import UploadFile
+from starlette.datastructures import FormData, UploadFile
 
 from service.api import schemas
 from service.api.auth import OperateModel, Operator, Reader, ReadModel
@@ -17,13 +17,15 @@ from service.errors import InputError, JointError, UnsupportedMediaTypeError
 from service.sessions.library import Upload
 
 router = APIRouter(prefix="/v1/models", tags=["models"])
-FILE_TYPES = ("glb", "obj", "stl", "ply")
+FILE_TYPES = ("glb", "obj", "stl", "ply", "urdf")
+MAX_MESHES = 256
 _MEDIA_TYPES = {
     "model/gltf-binary": "glb",
     "model/obj": "obj",
     "model/stl": "stl",
     "application/sla": "stl",
     "model/ply": "ply",
+    "application/urdf+xml": "urdf",
 }
 _UPLOAD = {
     "requestBody": {
@@ -35,8 +37,17 @@ _UPLOAD = {
                     "required": ["file"],
                     "additionalProperties": False,
                     "properties": {
-                        "file": {"type": "string", "format": "binary", "description": "GLB, OBJ, STL or PLY"},
-                        "joints": {"type": "string", "description": "JSON array; replaces the file's own"},
+                        "file": {"type": "string", "format": "binary", "description": "GLB, OBJ, STL, PLY or URDF"},
+                        "meshes": {
+                            "type": "array",
+                            "maxItems": MAX_MESHES,
+                            "items": {"type": "string", "format": "binary"},
+                            "description": "The mesh files that a URDF file names, by the last part of their names",
+                        },
+                        "joints": {
+                            "type": "string",
+                            "description": "JSON array; replaces the file's own, or only ties them",
+                        },
                         "name": {"type": "string", "maxLength": 200},
                     },
                 }
@@ -107,8 +118,8 @@ async def _read_upload(request: Request) -> Upload:
         raise UnsupportedMediaTypeError(
             "the body must be multipart/form-data", field="header:Content-Type", supported=["multipart/form-data"]
         )
-    async with request.form(max_files=1, max_fields=4) as form:
-        unknown = set(form) - {"file", "joints", "name"}
+    async with request.form(max_files=1 + MAX_MESHES, max_fields=4) as form:
+        unknown = set(form) - {"file", "meshes", "joints", "name"}
         if unknown:
             raise InputError(f"unknown field {sorted(unknown)[0]!r}", field=sorted(unknown)[0])
         file, joints, name = form.get("file"), form.get("joints"), form.get("name")
@@ -121,7 +132,20 @@ async def _read_upload(request: Request) -> Upload:
         title = name or PurePath(file.filename or "model").stem
         if not data:
             raise InputError("the file is empty", field="file")
-        return Upload(data, file_type, title[:200], None if joints is None else _joints(joints))
+        definitions = None if joints is None else _joints(joints)
+        return Upload.packed(data, file_type, title[:200], definitions, await _meshes(form))
+
+
+async def _meshes(form: FormData) -> dict[str, bytes]:
+    found: dict[str, bytes] = {}
+    for item in form.getlist("meshes"):
+        name = PurePath(item.filename or "").name if isinstance(item, UploadFile) else ""
+        if not isinstance(item, UploadFile) or not name:
+            raise InputError("meshes are files with names", field="meshes")
+        if name in found:
+            raise InputError(f"two mesh files are called {name!r}", field="meshes")
+        found[name] = await item.read()
+    return found
 
 
 def _file_type(file: UploadFile) -> str:

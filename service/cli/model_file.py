@@ -11,9 +11,11 @@ from typing import Any
 import typer
 
 from gpu.mesh import Mesh, MeshError, load_mesh
+from gpu.urdf_archive import pack_urdf
 from service.errors import InputError
 from service.inference.articulation import Articulation
 from service.models.articulations import read_joints
+from service.remote.urdf_files import mesh_files
 from service.simulate.satellite import NAME, demo_satellite
 
 
@@ -55,6 +57,8 @@ def read_joint_list(text: str | None) -> tuple[Mapping[str, Any], ...] | None:
 
 def _read(path: Path) -> tuple[str, bytes]:
     try:
-        return path.name, path.read_bytes()
+        data = path.read_bytes()
+        meshes = mesh_files(path) if path.suffix.lower() == ".urdf" else []
+        return path.name, pack_urdf(data, {file.name: file.read_bytes() for file in meshes})
     except OSError as error:
         raise typer.BadParameter(f"{path}: {error.strerror}") from error

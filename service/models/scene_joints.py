@@ -44,6 +44,8 @@ def joints_from_scene(
             for _, stage in stages
             if _is_scale(stage)
         )
+        if definition.get("pointingVector") is not None:
+            warnings.append(f"articulation {name!r}: its pointing vector is ignored; nothing here says where to point")
         if not nodes:
             warnings.append(f"articulation {name!r} moves no node and is ignored")
             continue

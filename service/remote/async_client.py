@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import aclosing
+from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar, Unpack
 
@@ -62,9 +63,13 @@ class AsyncClient:
         name: str | None = None,
         file_name: str | None = None,
         joints: Sequence[Mapping[str, Any]] | None = None,
+        meshes: Sequence[Path] | None = None,
     ) -> schemas.Model:
-        """Upload a mesh file; the same content again is the same model."""
-        return await self.call(await asyncio.to_thread(calls.upload_model, file, name, file_name, joints))
+        """Upload a mesh file; the same content again is the same model.
+
+        ``meshes``: the files that a URDF file names; those that lie near it are found where none are given.
+        """
+        return await self.call(await asyncio.to_thread(calls.upload_model, file, name, file_name, joints, meshes))
 
     async def model(self, model_id: str) -> schemas.Model:
         """One model."""

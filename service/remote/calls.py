@@ -20,6 +20,7 @@ from pydantic import BaseModel, ValidationError
 from service.api import schemas
 from service.remote.errors import RefusedError, UnexpectedError
 from service.remote.media import media_type_of
+from service.remote.urdf_files import mesh_files
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
@@ -38,7 +39,7 @@ class Call(Generic[T]):
     params: Mapping[str, Any] = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
     content: bytes | None = None
-    files: Mapping[str, tuple[str, bytes]] | None = None
+    files: Sequence[tuple[str, tuple[str, bytes]]] | None = None
     form: Mapping[str, str] | None = None
     repeatable: bool = True
     """Whether it may be sent again when nobody knows what became of it."""
@@ -101,7 +102,11 @@ def read_image(image: Image, media_type: str | None) -> tuple[bytes, str]:
 
 
 def upload_model(
-    file: Image, name: str | None, file_name: str | None, joints: Sequence[Mapping[str, Any]] | None
+    file: Image,
+    name: str | None,
+    file_name: str | None,
+    joints: Sequence[Mapping[str, Any]] | None,
+    meshes: Sequence[Path] | None,
 ) -> Call[schemas.Model]:
     """Repeatable: a model is known by its content."""
     data = file.read_bytes() if isinstance(file, Path) else file
@@ -111,7 +116,10 @@ def upload_model(
     form = {} if name is None else {"name": name}
     if joints is not None:
         form["joints"] = orjson.dumps(list(joints)).decode()
-    return Call("POST", "/v1/models", _json(schemas.Model), files={"file": (title, data)}, form=form)
+    if meshes is None:
+        meshes = mesh_files(file) if isinstance(file, Path) and file.suffix.lower() == ".urdf" else ()
+    files = [("file", (title, data)), *(("meshes", (path.name, path.read_bytes())) for path in meshes)]
+    return Call("POST", "/v1/models", _json(schemas.Model), files=files, form=form)
 
 
 def create_session(body: Mapping[str, Any]) -> Call[schemas.Session]:

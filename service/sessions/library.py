@@ -21,6 +21,7 @@ from service.store.database import Database
 from service.store.scope import ModelKey, model_key, public_id
 from service.workers.base import MeshJob, ModelJob, ModelReport
 from service.workers.engine import Engine
+from service.workers.model_files import pack_model
 
 ARTICULATION: TypeAdapter[Articulation] = TypeAdapter(Articulation)
 TWINS: TypeAdapter[tuple[Symmetry, ...]] = TypeAdapter(tuple[Symmetry, ...])
@@ -35,6 +36,18 @@ class Upload:
     file_type: str
     name: str
     joints: tuple[Mapping[str, Any], ...] | None
+
+    @classmethod
+    def packed(
+        cls,
+        data: bytes,
+        file_type: str,
+        name: str,
+        joints: tuple[Mapping[str, Any], ...] | None,
+        meshes: Mapping[str, bytes],
+    ) -> Upload:
+        """With the mesh files that a URDF file names. Raises ``InputError`` for those of another format."""
+        return cls(pack_model(data, file_type, meshes), file_type, name, joints)
 
 
 def articulation_of(model: ModelRecord) -> Articulation:
