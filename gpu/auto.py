@@ -34,6 +34,11 @@ class AutoScorer(LoopingScorer):
         """Of the scorer in use."""
         return self._first().name
 
+    @property
+    def in_use(self) -> LoopingScorer:
+        """The scorer that answers at present."""
+        return self._first()
+
     def score(self, part_transforms: Transforms, log_ratio: Map) -> Floats:
         """See ``Scorer.score``."""
         self._calibrate(part_transforms, log_ratio)

@@ -158,6 +158,12 @@ class DeviceStep:
         )
         return replace(weighed, log_total=float(np.log(mean.total))), summary
 
+    def log_likelihoods(self, particles: DeviceParticles, log_ratio: NDArray[np.float32]) -> Floats:
+        """(N,) the particle term of Eq. 4, for a host that weighs the particles itself."""
+        with device_errors(self.name):
+            scores, unit = self._score(particles, log_ratio)
+            return np.asarray(self._fetch(scores, np.empty(particles.n, np.int64)) * unit, dtype=np.float64)
+
     def part_transforms(self, particles: DeviceParticles, first: int, count: int) -> cl.Buffer:
         """(count, P, 3, 4) float32 transforms of the particles from ``first`` on: body point at rest -> px."""
         where = np.int32(particles.n), np.int32(first), np.int32(count)

@@ -8,7 +8,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from gpu.auto import AutoScorer
 from gpu.device import DeviceReport, open_device
+from gpu.outline import OutlineScorer
 from gpu.program import constant
 from gpu.scorer import Scorer
 
@@ -30,6 +32,12 @@ class BufferScorer(Protocol):
 
     def close(self) -> None:
         """Release the device."""
+
+
+def on_device(scorer: Scorer) -> BufferScorer | None:
+    """The scorer itself, or the one that an ``auto`` scorer uses at present, if it scores where the transforms are."""
+    used = scorer.in_use if isinstance(scorer, AutoScorer) else scorer
+    return used if isinstance(used, OutlineScorer) else None
 
 
 class HostCopies:

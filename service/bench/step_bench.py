@@ -7,10 +7,9 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpu.bench import Contestant, contestants, told_absent
 from gpu.mesh import Mesh
@@ -18,7 +17,6 @@ from gpu.scorer import BACKENDS, Scorer
 from service.bench.peak_memory import peak_mib
 from service.bench.step_device import ResidentStep
 from service.bench.step_scene import INTERVAL_S, StepScene, step_scene
-from service.inference.articulation import part_transforms
 from service.inference.params import (
     FilterParams,
     LikelihoodParams,
@@ -26,8 +24,12 @@ from service.inference.params import (
     SessionConfig,
     preset_defaults,
 )
-from service.inference.state import Array, FilterState, Frame, Measurement, Poses
+from service.inference.state import FilterState, Frame, Measurement
 from service.inference.step import step
+from service.workers.resident import ResidentSteps
+from service.workers.scoring import TimedScorer
+
+Where = Literal["host", "device"]
 
 COMPARED = ("outline", "opengl", "cpu-mt", "cpu")
 SETTLED_FRAMES = 3  # the default method finds the pose in the first and knows the rates after the third
@@ -98,31 +100,25 @@ class StepContestant:
         return f"{self.scorer.name}, {self.name}"
 
 
-class HostStep:
-    """``service.inference.step`` with a preset, as a session runs it."""
+class SessionStep:
+    """``service.inference.step`` with a preset, as a session runs it: state in, state and estimate out."""
 
-    def __init__(self, preset: str, scorer: Scorer, scene: StepScene, particles: int, seed: int) -> None:
+    def __init__(self, preset: str, where: Where, scorer: Scorer, scene: StepScene, particles: int, seed: int) -> None:
         self.device = scorer.name
-        self._scorer, self._scene, self._seed, self._seconds = scorer, scene, seed, 0.0
-        self._config = config_of(preset, particles)
+        self._scorer, self._scene, self._seed = scorer, scene, seed
+        self._config = config_of(preset, particles, where)
+        self._resident = ResidentSteps(1).of(scorer, self._config, scene.domain)
         self._state: FilterState | None = None
         if self._config.filter.method == "bootstrap":  # from the whole prior it would take long to find the pose
             self._state = scene.near_truth(np.random.default_rng(seed), particles, self._config)
 
     def run(self, frame: int) -> float:
         """See ``StepRunner``."""
-        self._seconds = 0.0
         rng = np.random.Generator(np.random.Philox(key=np.array([self._seed, frame], np.uint64)))
         seen = Frame(frame, frame * INTERVAL_S, Measurement(self._scene.log_ratio, 0.0))
-        self._state, _ = step(rng, self._state, seen, self._score_maps, self._config, self._scene.domain)
-        return self._seconds
-
-    def _score_maps(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
-        transforms = part_transforms(self._scene.articulation, poses)
-        began = time.perf_counter()
-        scores = self._scorer.score_many(transforms, maps)
-        self._seconds += time.perf_counter() - began
-        return scores
+        timed = TimedScorer(self._scorer, self._scene.articulation)
+        self._state, _ = step(rng, self._state, seen, timed, self._config, self._scene.domain, bootstrap=self._resident)
+        return timed.seconds if self._resident is None else self._resident.seconds
 
 
 def step_contestants(backends: Sequence[str] = ()) -> list[StepContestant]:
@@ -135,23 +131,24 @@ def step_contestants(backends: Sequence[str] = ()) -> list[StepContestant]:
         StepContestant(name, scorer, make, warm)
         for scorer in offered
         for name, make, warm in (
-            ("paper, host", partial(HostStep, "paper"), 1),
-            ("paper, device", _resident, 1),
-            ("balanced, host", partial(HostStep, "balanced"), SETTLED_FRAMES),
+            ("paper, host", partial(SessionStep, "paper", "host"), 1),
+            ("paper, device", partial(SessionStep, "paper", "device"), 1),
+            ("paper, resident", _resident, 1),
+            ("balanced, host", partial(SessionStep, "balanced", "host"), SETTLED_FRAMES),
         )
         if backends or scorer.name == COMPARED[0] or name == "paper, host"
     ]
 
 
 def _resident(scorer: Scorer, scene: StepScene, particles: int, seed: int) -> StepRunner:
-    return ResidentStep(config_of("paper", particles), scorer, scene, particles, seed)
+    return ResidentStep(config_of("paper", particles, "device"), scorer, scene, particles, seed)
 
 
-def config_of(preset: str, particles: int) -> SessionConfig:
+def config_of(preset: str, particles: int, where: Where = "host") -> SessionConfig:
     """A session's configuration with this preset and number of particles."""
     given = preset_defaults(preset)
     return SessionConfig(
-        filter=FilterParams(**{**given.get("filter", {}), "particles": particles}),
+        filter=FilterParams(**{**given.get("filter", {}), "particles": particles, "step": where}),
         likelihood=LikelihoodParams(**given.get("likelihood", {})),
         motion=MotionParams(**given.get("motion", {})),
     )

@@ -24,6 +24,7 @@ from service.inference.symmetry import Symmetry, twin
 from service.inference.weights import effective_sample_size
 
 LEFT_OUT = 0.01  # modes that hold less than this share together are not listed
+NEGLIGIBLE_NATS = 50.0  # ten million particles so much lighter than the heaviest change no digit of a sum
 
 
 def mean_rotation(quaternion: Array, weights: Array) -> Array:
@@ -98,9 +99,10 @@ def summarise(outcome: Outcome, log_background: float, twins: Sequence[Symmetry]
     ``outcome`` holds one of each set of twins; all of them are reported. ``log_background`` is the constant of
     Eq. 2, which every log likelihood of the frame shares.
     """
-    weights = np.exp(outcome.log_weights)
+    counted = np.flatnonzero(outcome.log_weights > np.max(outcome.log_weights) - NEGLIGIBLE_NATS)
+    weights, counted_poses = np.exp(outcome.log_weights[counted]), outcome.poses[counted]
     wrapping = domain.wrapping
-    everybody = [outcome.poses, *(domain.wrap(twin(outcome.poses, symmetry)) for symmetry in twins)]
+    everybody = [counted_poses, *(domain.wrap(twin(counted_poses, symmetry)) for symmetry in twins)]
     poses = concatenate(*everybody)
     shared = np.tile(weights / len(everybody), len(everybody))
     mean = domain.wrap(mean_pose(poses, shared, wrapping))
@@ -114,8 +116,8 @@ def summarise(outcome: Outcome, log_background: float, twins: Sequence[Symmetry]
         best=report(best[0]),
         best_log_likelihood=best[1] + log_background,
         spread=spread(poses, shared, mean, wrapping),
-        modes=find_modes(everybody, weights, outcome.log_likelihood, domain),
-        n_particles=len(weights),
+        modes=find_modes(everybody, weights, outcome.log_likelihood[counted], domain),
+        n_particles=len(outcome.log_weights),
         ess=effective_sample_size(outcome.log_weights),
         log_evidence=outcome.log_evidence + log_background,
     )

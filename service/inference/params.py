@@ -45,11 +45,17 @@ class FilterParams:
     fails. `outline`: the same on the first device, or not at all. `opengl`: drawn by OpenGL, summed by OpenCL (the
     paper's GPU row). `cpu`, `cpu-mt`: filled on one core, on all (its other rows). `reference`: NumPy, slow. All give
     the same sums, `opengl` but for pixels along the edge."""
+    step: Literal["auto", "host", "device"] = "auto"
+    """`bootstrap`: where particles are drawn, moved and scored. `device`: on the scorer's, with random numbers of its
+    own (the same law, other draws than `host`; the first frame is the host's). `auto`: there where it pays, which is
+    with 5,000 particles or more on a GPU whose scorer takes them (`auto`, `outline`); else `host`."""
 
     def __post_init__(self) -> None:
         _require(1 <= self.particles <= 10_000_000, "particles must be between 1 and 10,000,000")
         _require(0 <= self.seed < 2**63, "seed must be between 0 and 2^63 - 1")
         _require(0 < self.target_ess < 1, "target_ess must lie between 0 and 1")
+        on_device = self.method == "bootstrap" and self.resampler in ("multinomial", "systematic")
+        _require(self.step != "device" or on_device, "step device is for bootstrap, multinomial or systematic")
         _require(1 <= self.moves <= 1000, "moves must be between 1 and 1000")
         _require(1 <= self.acquisition_moves <= 1000, "acquisition_moves must be between 1 and 1000")
         _require(

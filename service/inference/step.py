@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,21 @@ from service.inference.weights import normalise
 ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
 
 
+class Bootstrap(Protocol):
+    """A way to make the paper's update: see ``bootstrap_update``."""
+
+    def __call__(
+        self,
+        rng: np.random.Generator,
+        state: FilterState | None,
+        frame: Frame,
+        score: Callable[[Poses], Array],
+        config: SessionConfig,
+        domain: Domain,
+    ) -> Outcome:
+        """The posterior after a frame."""
+
+
 def step(
     rng: np.random.Generator,
     state: FilterState | None,
@@ -30,9 +46,11 @@ def step(
     config: SessionConfig,
     domain: Domain,
     twins: Sequence[Symmetry] = (),
+    bootstrap: Bootstrap | None = None,
 ) -> tuple[FilterState, Estimate]:
     """Update ``state`` (None before the first frame) by one frame; ``twins`` are the body's symmetries.
 
+    ``bootstrap`` makes the paper's update where the method is that; by default ``bootstrap_update`` does.
     ``score_maps(poses, maps)`` sums each of (K, H, W) maps under each silhouette: (N, K), the per-particle term of
     Eq. 4 when the map is log c.
     """
@@ -42,7 +60,8 @@ def step(
         return score_maps(poses, log_ratio)[:, 0]
 
     if config.filter.method == "bootstrap":
-        outcome, twins = bootstrap_update(rng, state, frame, score, config, domain), ()
+        update = bootstrap or bootstrap_update
+        outcome, twins = update(rng, state, frame, score, config, domain), ()
     else:
         outcome = track(rng, one_of_twins(state, twins, domain), frame, score_maps, config, domain, twins)
     estimate = summarise(outcome, frame.measurement.log_background, twins, domain)
@@ -86,14 +105,18 @@ def bootstrap_update(
         dt_s = max(frame.time_s - state.time_s, 0.0)
         moved = domain.wrap(propagate(rng, before, diffusion(config.motion, domain) * np.sqrt(dt_s)))
         poses = pick(domain.contains(moved), moved, before)
-    log_likelihood = score(poses)
+    return weighed(poses, score(poses), config, domain)
+
+
+def weighed(poses: Poses, log_likelihood: Array, config: SessionConfig, domain: Domain) -> Outcome:
+    """Particles of equal weight, weighed by their likelihood (Eq. 4); ``log_likelihood`` is (N,)."""
     log_weights, total = normalise(config.likelihood.exponent * log_likelihood)
     return Outcome(
         poses=poses,
         log_weights=log_weights,
         log_likelihood=log_likelihood,
-        rates=np.zeros((count, domain.n_tangent)),
+        rates=np.zeros((len(poses), domain.n_tangent)),
         status="tracking" if float(np.max(log_likelihood)) > 0 else "no_target",
-        log_evidence=total - float(np.log(count)),
+        log_evidence=total - float(np.log(len(poses))),
         memory={},
     )

@@ -55,6 +55,7 @@ from service.workers.decode_process import DecodeProcess
 from service.workers.decoding import Decoder, InPlace
 from service.workers.limits import DecodeLimits
 from service.workers.observation import observe, remember
+from service.workers.resident import ResidentSteps
 from service.workers.scoring import Scorers, TimedScorer
 from service.workers.smoothing import belief_after, smooth_pass, with_rates
 from service.workers.splitting import SplitJob
@@ -78,6 +79,7 @@ class Tracker:
         self._decoder = decoder or InPlace()
         self._meshes: Cache[Mesh] = Cache(cached_models)
         self._scorers = Scorers(cached_models)
+        self._steps = ResidentSteps(cached_models)
         self._skies: Cache[Sky] = Cache(cached_models)
         self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
 
@@ -144,8 +146,11 @@ class Tracker:
         stream = np.array([job.config.filter.seed, job.frame_index], np.uint64)
         with self._scorers.lend(job.model, job.config.filter.backend, mesh) as scorer:
             timed, rng = TimedScorer(scorer, articulation), np.random.Generator(np.random.Philox(key=stream))
-            state, estimate = step(rng, job.state, frame, timed, job.config, domain, twins)
-            scored_by = scorer.name
+            resident = self._steps.of(scorer, job.config, domain)
+            state, estimate = step(rng, job.state, frame, timed, job.config, domain, twins, resident)
+            scored_by, score_s = scorer.name, timed.seconds
+            if resident is not None and resident.used:
+                scored_by, score_s = f"{scored_by} (step on the device)", resident.seconds
         best = estimate.best
         kept = remember(
             observation,
@@ -161,7 +166,7 @@ class Tracker:
         timing = {
             "decode": decoded - began,
             "measure": measured - decoded,
-            "score": timed.seconds,
+            "score": score_s,
             "step": done - measured,
             "total": done - began,
         }
@@ -199,6 +204,7 @@ class Tracker:
     def close(self) -> None:
         """Release the device and the decoder."""
         self._decoder.close()
+        self._steps.close()
         self._scorers.close()
         self._meshes.clear()
         self._skies.clear()

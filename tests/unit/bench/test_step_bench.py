@@ -71,7 +71,7 @@ def test_every_step_runs_and_scoring_is_part_of_it(body):
     figures = bench_step(step_contestants(["outline"]), body, TINY)
     if "outline" in figures.absent:
         pytest.skip(figures.absent["outline"])
-    assert len(figures.rows) == 6
+    assert len(figures.rows) == 8
     for row in figures.rows:
         assert 0 < row.score_ms <= row.step_ms
         assert 0 < row.score_share <= 1
