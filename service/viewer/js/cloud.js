@@ -5,13 +5,13 @@ import {
   OrthographicCamera, Quaternion, Scene, ShaderMaterial, Vector3,
 } from "../vendor/three/three.module.min.js";
 import { modeColour } from "./colours.js";
-import { fitRenderer, makeTurnable, openRenderer, Painter } from "./gl.js";
+import { fitRenderer, makeTurnable, openRenderer, Painter, pixelRatio } from "./gl.js";
 import { axes, drawn, lights } from "./model.js";
 import { angleBetween, lineOfSight } from "./rotation.js";
 
 const MOST = 2000; // particles asked for
 const TICK = 0.07;
-const LATEST_WAIT_MS = 300; // between two fetches: the cloud need not keep pace with 30 frames a second
+const LATEST_WAIT_MS = 300, REST_MS = 60; // between two fetches, two drawings: nobody reads 30 clouds a second
 const FRONT = new Vector3(0, 0, 1);
 
 // What lies on the far side is dimmed: `facing` is 1 in front, -1 behind.
@@ -47,7 +47,7 @@ export class CloudView {
     for (const item of [this.points, this.ticks, this.trail]) item.frustumCulled = false;
     this.globe.add(this.trail, this.ticks, this.points);
     this.scene = new Scene().add(this.globe, ...lights());
-    this.painter = new Painter(figure.querySelector(".stage"), (width, height) => this.draw(width, height));
+    this.painter = new Painter(figure.querySelector(".stage"), (width, height) => this.draw(width, height), REST_MS);
     this.turnable = makeTurnable(canvas, () => this.painter.request());
     canvas.addEventListener("dblclick", () => this.resetView());
     this.reset(null);
@@ -59,7 +59,7 @@ export class CloudView {
     this.body?.removeFromParent();
     this.body = null;
     this.plot([], []);
-    this.trail.geometry.setFromPoints([]);
+    this.setTrail([]);
     this.aimed = false;
     this.note.textContent = "";
     this.painter.request();
@@ -83,10 +83,16 @@ export class CloudView {
   }
 
   setTrail(rows) {
+    this.path = rows;
+    this.painter.request();
+  }
+
+  drawTrail() {
+    if (!this.path) return;
     this.trail.geometry.dispose();
     this.trail.geometry = new BufferGeometry().setFromPoints(
-      rows.map((row) => lineOfSight(row.orientation).towards.multiplyScalar(1.003)));
-    this.painter.request();
+      this.path.map((row) => lineOfSight(row.orientation).towards.multiplyScalar(1.003)));
+    this.path = null;
   }
 
   async show(estimate) {
@@ -149,8 +155,9 @@ export class CloudView {
     Object.assign(this.camera, { left: -reach * width, right: reach * width, top: reach * height,
       bottom: -reach * height, near: 0, far: 20 });
     this.camera.updateProjectionMatrix();
+    this.drawTrail();
     this.globe.quaternion.copy(this.turnable.turn);
-    this.points.material.uniforms.size.value = 0.014 * Math.min(width, height) * Math.min(devicePixelRatio, 2);
+    this.points.material.uniforms.size.value = 0.014 * Math.min(width, height) * pixelRatio();
     this.renderer.render(this.scene, this.camera);
   }
 }

@@ -1,6 +1,6 @@
 // The frame with the best silhouette in blue and the other modes thinner. Image and outlines are of one frame.
 import { modeColour } from "./colours.js";
-import { Painter } from "./gl.js";
+import { Painter, pixelRatio } from "./gl.js";
 import { Outlines } from "./outline.js";
 
 const ZOOM_RADII = 1.5; // half the width of the zoomed view, in radii of the body
@@ -94,7 +94,7 @@ export class FrameView {
   }
 
   draw(width, height) {
-    const ratio = Math.min(devicePixelRatio, 2);
+    const ratio = pixelRatio();
     this.picture.width = Math.round(width * ratio);
     this.picture.height = Math.round(height * ratio);
     if (!this.size) {

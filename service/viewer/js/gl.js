@@ -3,10 +3,20 @@ import { Quaternion, Vector2, Vector3, WebGLRenderer } from "../vendor/three/thr
 
 const X = new Vector3(1, 0, 0), Y = new Vector3(0, 1, 0);
 
+// Whether WebGL is drawn by the processor (a virtual machine, a machine without a graphics driver): then every pixel
+// costs, and smooth edges are left out so that the page keeps pace with the estimates.
+export const SOFTWARE = (() => {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  return /swiftshader|llvmpipe|software/i.test(info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "");
+})();
+
+export const pixelRatio = () => Math.min(devicePixelRatio, SOFTWARE ? 1 : 2);
+
 // null where the browser has no WebGL: the page goes on without.
 export function openRenderer(canvas, options) {
   try {
-    const renderer = new WebGLRenderer({ canvas, alpha: true, antialias: true, ...options });
+    const renderer = new WebGLRenderer({ canvas, alpha: true, antialias: !SOFTWARE, ...options });
     renderer.setClearColor(0x000000, 0);
     return renderer;
   } catch (error) {
@@ -16,20 +26,28 @@ export function openRenderer(canvas, options) {
   }
 }
 
-// Calls draw(width, height) in the next animation frame after request(), and whenever the element changes its size.
+// Calls draw(width, height) in the next animation frame after request(), at most once in `restMs`, and whenever the
+// element changes its size.
 export class Painter {
-  constructor(element, draw) {
-    this.element = element;
-    this.draw = draw;
+  constructor(element, draw, restMs = 0) {
+    Object.assign(this, { element, draw, restMs });
     this.waiting = false;
+    this.drawn = -restMs;
     new ResizeObserver(() => this.request()).observe(element);
   }
 
   request() {
     if (this.waiting) return;
     this.waiting = true;
-    requestAnimationFrame(() => {
+    const rest = this.drawn + this.restMs - performance.now();
+    if (rest > 0) setTimeout(() => this.paint(), rest);
+    else this.paint();
+  }
+
+  paint() {
+    requestAnimationFrame((now) => {
       this.waiting = false;
+      this.drawn = now;
       const { clientWidth, clientHeight } = this.element;
       if (clientWidth && clientHeight) this.draw(clientWidth, clientHeight);
     });
@@ -37,7 +55,7 @@ export class Painter {
 }
 
 export function fitRenderer(renderer, width, height) {
-  const ratio = Math.min(devicePixelRatio, 2);
+  const ratio = pixelRatio();
   const size = renderer.getDrawingBufferSize(new Vector2());
   if (size.x !== Math.floor(width * ratio) || size.y !== Math.floor(height * ratio)) {
     renderer.setPixelRatio(ratio);

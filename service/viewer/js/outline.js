@@ -3,7 +3,7 @@ import {
   Color, DoubleSide, Mesh, MeshBasicMaterial, NoBlending, OrthographicCamera, PlaneGeometry, Scene, ShaderMaterial,
   Vector2, WebGLRenderTarget,
 } from "../vendor/three/three.module.min.js";
-import { fitRenderer, openRenderer } from "./gl.js";
+import { fitRenderer, openRenderer, SOFTWARE } from "./gl.js";
 import { onScreen } from "./rotation.js";
 
 const EDGE = {
@@ -31,7 +31,7 @@ export class Outlines {
     this.renderer = openRenderer(canvas, { premultipliedAlpha: true });
     if (!this.renderer) return;
     this.renderer.autoClear = false;
-    this.target = new WebGLRenderTarget(1, 1, { samples: 4 });
+    this.target = new WebGLRenderTarget(1, 1, { samples: SOFTWARE ? 0 : 4 });
     this.camera = new OrthographicCamera();
     this.scene = new Scene();
     this.body = null;

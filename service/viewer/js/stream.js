@@ -83,6 +83,8 @@ export class Stream {
     this.closed = true;
     clearTimeout(this.timer);
     removeEventListener("online", this.wake);
-    this.socket?.close();
+    const { socket } = this;
+    if (socket?.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close(); // the browser would complain
+    else socket?.close();
   }
 }

@@ -1,0 +1,71 @@
+"""A headless Chromium at a real server. Every page must load all of itself from that server and log no error."""
+
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "e2e"))
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from server_process import Server
+
+expect.set_options(timeout=30_000)
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+# WebGL in software; root needs no sandbox to draw our own page.
+ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One Chromium for the tests of a file, closed after it: its event loop must not meet those of other tests."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium (Debian: apt-get install chromium)")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """The service over the fake worker."""
+    found = Server(tmp_path_factory.mktemp("page") / "data", "fake_worker:FakeWorker", stream_heartbeat_s=0.3)
+    found.start()
+    yield found
+    found.stop()
+
+
+@pytest.fixture
+def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
+    """Opens pages of one width; at the end none may have logged an error or asked another host for anything."""
+    contexts, problems = [], []
+
+    def make(url: str, width: int = 1280, height: int = 800, expect_failures: bool = False) -> Page:
+        context = browser.new_context(viewport={"width": width, "height": height}, accept_downloads=True)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(30_000)
+
+        def note(message: object) -> None:
+            failed = "Failed to load resource" in str(message) or "WebSocket connection" in str(message)
+            if not (expect_failures and failed):
+                problems.append(str(message))
+
+        page.on("console", lambda m: note(m.text) if m.type in ("error", "warning") else None)
+        page.on("pageerror", note)
+        page.on("request", lambda r: None if is_here(r.url, url) else problems.append(f"asked {r.url}"))
+        page.on("websocket", lambda w: None if is_here(w.url, url) else problems.append(f"asked {w.url}"))
+        page.goto(url)
+        return page
+
+    yield make
+    for context in contexts:
+        context.close()
+    assert not problems
+
+
+def is_here(asked: str, url: str) -> bool:
+    return urlsplit(asked).scheme in ("blob", "data") or urlsplit(asked).netloc == urlsplit(url).netloc

@@ -1,0 +1,118 @@
+"""For everybody: keyboard, small screens, screen readers, and nothing that leaves the machine."""
+
+import json
+import re
+from pathlib import Path
+
+import httpx
+import pytest
+from passes import PNG, begin, fake_pass
+from playwright.sync_api import expect
+from watching import open_session, shows
+
+AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
+FRAMES = 3
+
+
+@pytest.fixture(scope="module")
+def sessions(server):
+    """Two sessions with a few frames."""
+    given = fake_pass(FRAMES)
+    with httpx.Client(base_url=server.url, timeout=60) as http:
+        ids = [begin(http, given, name="body.glb") for _ in range(2)]
+        for session_id in ids:
+            for n, image in enumerate(given.frames):
+                http.put(f"/v1/sessions/{session_id}/frames/{n}", content=image, headers=PNG).raise_for_status()
+    return ids
+
+
+@pytest.mark.parametrize("width", [1280, 390, 320])
+def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessions, open_page, width):
+    page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=844)
+    shows(page, FRAMES - 1)
+    assert overflow(page) == 0
+    assert findings(page) == []
+    page.get_by_role("button", name="New track").click()
+    page.get_by_text("More settings").click()
+    assert findings(page) == []
+    assert overflow(page) == 0
+    page.keyboard.press("Escape")
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keyboard")).to_be_visible()
+    assert findings(page) == []
+
+
+def overflow(page) -> int:
+    """Pixels that the page is wider than its screen."""
+    return page.evaluate("() => document.documentElement.scrollWidth - document.documentElement.clientWidth")
+
+
+def findings(page) -> list[str]:
+    """Serious findings of axe-core, each with the elements."""
+    page.evaluate(AXE.read_text() + "; null")
+    found = page.evaluate("() => axe.run(document, { resultTypes: ['violations'] })")
+    worst = [item for item in found["violations"] if item["impact"] in ("serious", "critical")]
+    return [f"{item['id']}: {json.dumps([node['html'] for node in item['nodes']])}" for item in worst]
+
+
+def test_keyboard(server, sessions, open_page):
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    shows(page, FRAMES - 1)
+    page.keyboard.press("?")
+    help_dialog = page.get_by_role("dialog", name="Keyboard")
+    expect(help_dialog).to_contain_text("one frame back, one on")
+    page.keyboard.press("ArrowLeft")  # belongs to the dialog now
+    page.keyboard.press("Escape")
+    expect(help_dialog).to_be_hidden()
+    shows(page, FRAMES - 1)
+    page.keyboard.press("Home")
+    shows(page, 0)
+    page.keyboard.press("End")
+    shows(page, FRAMES - 1)
+    for key, name in (("m", "Modes"), ("o", "Outline")):
+        page.keyboard.press(key)
+        expect(page.get_by_role("button", name=name)).to_have_attribute("aria-pressed", "false")
+    page.keyboard.press("z")
+    expect(page.get_by_role("button", name="Zoom")).to_have_attribute("aria-pressed", "true")
+    page.keyboard.press("r")
+    expect(page.locator("#red")).to_be_visible()
+    other = page.locator('#sessions [aria-current="true"]').get_attribute("data-session")
+    page.keyboard.press("k")
+    expect(page.locator(f'[data-session="{other}"]')).not_to_have_attribute("aria-current", "true")
+    page.keyboard.press("n")
+    expect(page.get_by_role("dialog", name="New track")).to_be_visible()
+
+
+def test_every_control_is_reached_by_tab(server, sessions, open_page):
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    shows(page, FRAMES - 1)
+    page.locator("#new").focus()
+    reached = set()
+    for _ in range(60):
+        reached.add(
+            page.evaluate(
+                "() => document.activeElement.id || document.activeElement.className"
+                " || document.activeElement.closest('figure')?.id || ''"
+            )
+        )
+        page.keyboard.press("Tab")
+    assert {"new", "night", "export", "delete", "model", "cloud", "play", "live", "window"} <= reached
+
+
+def test_save_and_delete(server, open_page):
+    given = fake_pass(1)
+    with httpx.Client(base_url=server.url, timeout=60) as http:
+        session_id = begin(http, given, name="body.glb")
+        http.put(f"/v1/sessions/{session_id}/frames/0", content=given.frames[0], headers=PNG).raise_for_status()
+    page = open_page(server.url, expect_failures=True)
+    open_session(page, session_id)
+    shows(page, 0)
+    with page.expect_download() as download:
+        page.get_by_label("Save").select_option("csv")
+    assert download.value.suggested_filename == f"{session_id}.csv"
+    page.get_by_label("Save").select_option("aem")  # no pointing was given: the service says so
+    expect(page.locator("#notices")).to_contain_text(re.compile("attitude", re.I))
+    page.get_by_role("button", name="Delete…").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete").click()
+    expect(page.locator(f'[data-session="{session_id}"]')).to_have_count(0)
+    assert httpx.get(f"{server.url}/v1/sessions/{session_id}").status_code == 404

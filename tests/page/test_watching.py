@@ -1,0 +1,112 @@
+"""Watching a session that others feed: nothing lost, nothing shown late without a mark, over restarts too."""
+
+import os
+import signal
+import statistics
+import time
+
+import httpx
+import pytest
+from passes import PNG, begin, fake_pass
+from playwright.sync_api import expect
+from watching import is_live, is_stale, open_session, picture_shows, shown, shows
+
+RATE_HZ, SECONDS = 30, 4
+
+
+@pytest.fixture
+def http(server):
+    with httpx.Client(base_url=server.url, timeout=60) as client:
+        yield client
+
+
+def test_thirty_estimates_a_second(server, http, open_page):
+    """The page keeps pace: what it shows is never more than a few frames old, and no frame is missing at the end.
+
+    The long form: SKYPOSE_TEST_PAGE_SECONDS=600.
+    """
+    given = fake_pass(RATE_HZ * int(os.environ.get("SKYPOSE_TEST_PAGE_SECONDS", SECONDS)))
+    session_id = begin(http, given, name="body.glb")
+    page = open_page(f"{server.url}/#{session_id}")
+    expect(page.locator("#link")).to_have_class("live")
+    behind, due = [], time.monotonic()
+    for n, image in enumerate(given.frames):
+        http.put(f"/v1/sessions/{session_id}/frames/{n}", content=image, headers=PNG).raise_for_status()
+        due += 1 / RATE_HZ
+        time.sleep(max(0.0, due - time.monotonic()))  # the pace is what is tested
+        behind.append(n - shown(page))
+    last = len(given.frames) - 1
+    shows(page, last)
+    picture_shows(page, last)
+    print("frames behind: median", statistics.median(behind), "most", max(behind))
+    assert statistics.median(behind) <= 5
+    assert statistics.median(behind[-RATE_HZ:]) <= 5  # it does not grow
+    expect(page.locator("#timeline output")).to_have_text(f"{last} / {last}")
+    page.get_by_role("slider", name="Frame").fill(str(last // 2))
+    shows(page, last // 2)
+
+
+def test_restart_of_the_service_is_marked_and_survived(server, http, open_page):
+    given = fake_pass(3)
+    session_id = begin(http, given, name="body.glb")
+
+    def put(n: int) -> None:
+        http.put(f"/v1/sessions/{session_id}/frames/{n}", content=given.frames[n], headers=PNG).raise_for_status()
+
+    put(0)
+    page = open_page(f"{server.url}/#{session_id}", expect_failures=True)
+    shows(page, 0)
+    is_live(page)
+    server.kill()
+    is_stale(page)
+    server.start()
+    put(1)  # before the page is back: it comes after the resume
+    is_live(page)
+    shows(page, 1)
+    put(2)
+    shows(page, 2)
+    expect(page.locator("#timeline output")).to_have_text("2 / 2")
+
+
+def test_a_silent_service_is_stale(server, http, open_page):
+    """The connection stands, but nothing comes, not even a heartbeat."""
+    given = fake_pass(1)
+    session_id = begin(http, given, name="body.glb")
+    http.put(f"/v1/sessions/{session_id}/frames/0", content=given.frames[0], headers=PNG).raise_for_status()
+    page = open_page(f"{server.url}/#{session_id}")
+    shows(page, 0)
+    is_live(page)
+    os.kill(server.pid, signal.SIGSTOP)
+    try:
+        is_stale(page)
+    finally:
+        os.kill(server.pid, signal.SIGCONT)
+    is_live(page)
+
+
+def test_a_look_at_the_past_stays_while_the_pass_goes_on(server, http, open_page):
+    given = fake_pass(6)
+    session_id = begin(http, given, name="body.glb")
+    for n in range(4):
+        http.put(f"/v1/sessions/{session_id}/frames/{n}", content=given.frames[n], headers=PNG).raise_for_status()
+    page = open_page(server.url)
+    open_session(page, session_id)
+    shows(page, 3)
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowLeft")
+    shows(page, 1)
+    for n in range(4, 6):
+        http.put(f"/v1/sessions/{session_id}/frames/{n}", content=given.frames[n], headers=PNG).raise_for_status()
+    expect(page.locator("#timeline output")).to_have_text("1 / 5")
+    assert shown(page) == 1
+    page.keyboard.press("l")
+    shows(page, 5)
+
+
+def test_an_orderly_end_is_stale_too(server, http, open_page):
+    """The last test of this file: the service says good-bye, and is gone."""
+    session_id = begin(http, fake_pass(0), name="body.glb")
+    page = open_page(f"{server.url}/#{session_id}", expect_failures=True)
+    is_live(page)
+    server.stop()
+    is_stale(page)
