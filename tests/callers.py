@@ -5,7 +5,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
 import httpx
-from api_client import Api, running
+from api_client import Api, running, served
 from fastapi import FastAPI
 
 from service.access.principal import Role
@@ -16,8 +16,9 @@ BOOTSTRAP = "b" * 40
 class Callers:
     """Makes keys past the API, as the command line does, and clients that send them."""
 
-    def __init__(self, app: FastAPI, stack: AsyncExitStack) -> None:
+    def __init__(self, app: FastAPI, stack: AsyncExitStack, address: str = "") -> None:
         self.app = app
+        self.address = address  # host:port, where it is served
         self._stack = stack
 
     async def key(self, tenant: str, role: str = "admin", name: str = "test") -> str:
@@ -35,11 +36,24 @@ class Callers:
         return Api(await self._stack.enter_async_context(client), self.app)
 
 
-@asynccontextmanager
-async def guarded(make_app: Callable[..., FastAPI], folder: Path, **settings: object) -> AsyncIterator[Callers]:
-    """The application with keys required, within its lifespan."""
+def with_keys(make_app: Callable[..., FastAPI], folder: Path, **settings: object) -> FastAPI:
+    """The application with keys required, and a bootstrap key."""
     file = folder / "bootstrap"
     file.write_text(BOOTSTRAP + "\n")
-    app = make_app(**{"auth": "required", "bootstrap_key_file": file, **settings})
+    return make_app(**{"auth": "required", "bootstrap_key_file": file, **settings})
+
+
+@asynccontextmanager
+async def guarded(make_app: Callable[..., FastAPI], folder: Path, **settings: object) -> AsyncIterator[Callers]:
+    """That application within its lifespan, without a server."""
+    app = with_keys(make_app, folder, **settings)
     async with AsyncExitStack() as stack, running(app):
         yield Callers(app, stack)
+
+
+@asynccontextmanager
+async def guarded_server(make_app: Callable[..., FastAPI], folder: Path, **settings: object) -> AsyncIterator[Callers]:
+    """That application on a real port; the clients reach it beside."""
+    app = with_keys(make_app, folder, **settings)
+    async with AsyncExitStack() as stack, served(app) as address:
+        yield Callers(app, stack, address)

@@ -1,0 +1,231 @@
+"""Keys, tickets, origins, headers, the audit log: through the API."""
+
+import json
+
+import httpx
+import pytest
+import websockets
+from api_client import Api, running
+from callers import BOOTSTRAP, guarded, guarded_server
+
+from service.access.principal import Role
+from service.api.guard import page_policy
+from service.errors import ConfigError
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_first_key_comes_from_the_bootstrap_key(make_app, tmp_path):
+    async with guarded(make_app, tmp_path) as callers:
+        root = await callers.with_token(BOOTSTRAP)
+        assert (await root.http.get("/v1/me")).json() == {"tenant": "default", "role": "admin", "key_id": "bootstrap"}
+        made = (await root.http.post("/v1/keys", json={"role": "operate", "name": "dome", "days": 1})).json()
+        assert made["key"].startswith(f"skypose_{made['id']}_")
+        dome = await callers.with_token(made["key"])
+        assert (await dome.http.get("/v1/me")).json() == {"tenant": "default", "role": "operate", "key_id": made["id"]}
+        listed = await root.http.get("/v1/keys")
+        assert [key["id"] for key in listed.json()["keys"]] == [made["id"]]
+        assert made["key"] not in listed.text
+        assert "sha256" not in listed.text
+
+
+async def test_revoked_key_stops_at_once(make_app, tmp_path):
+    async with guarded(make_app, tmp_path) as callers:
+        root, dome = await callers.with_token(BOOTSTRAP), await callers.client("default", "read")
+        key_id = (await dome.http.get("/v1/me")).json()["key_id"]
+        assert (await root.http.delete(f"/v1/keys/{key_id}")).status_code == 204
+        assert (await dome.http.get("/v1/me")).status_code == 401
+        assert (await root.http.get("/v1/keys")).json()["keys"][0]["revoked_at"]
+
+
+@pytest.mark.parametrize("token", ["", "x", "skypose_", "skypose_00000000_short", "a.b.c", "é", "skypose_ " + "A" * 60])
+async def test_what_is_no_key_is_refused(make_app, tmp_path, token):
+    async with guarded(make_app, tmp_path) as callers:
+        api = await callers.with_token(None)
+        for scheme in ("Bearer", "Basic"):
+            headers = {"Authorization": f"{scheme} {token}".encode()}
+            assert (await api.http.get("/v1/me", headers=headers)).status_code == 401
+
+
+async def test_wrong_secret_of_a_known_id(make_app, tmp_path):
+    async with guarded(make_app, tmp_path) as callers:
+        key = await callers.key("acme")
+        wrong = await callers.with_token(key[:-1] + ("A" if key[-1] != "A" else "B"))
+        unknown = await callers.with_token("skypose_00000000_" + "A" * 43)
+        answers = [await api.http.get("/v1/me") for api in (wrong, unknown)]
+        assert [answer.status_code for answer in answers] == [401, 401]
+        assert answers[0].content == answers[1].content
+
+
+async def test_use_is_noted_and_the_secret_is_not_stored(make_app, tmp_path):
+    async with guarded(make_app, tmp_path) as callers:
+        key = await callers.key("acme")
+        api = await callers.with_token(key)
+        await api.http.get("/v1/me")
+        await callers.app.state.services.keys.note_use()
+        assert (await api.http.get("/v1/keys")).json()["keys"][0]["last_used_at"]
+        folder = tmp_path / "data"
+        secret = key.rpartition("_")[2].encode()
+        assert not [file for file in folder.iterdir() if secret in file.read_bytes()]
+
+
+async def test_nobody_starts_where_nobody_could_get_in(make_app):
+    for settings in ({"auth": "required"}, {"host": "0.0.0.0"}, {"host": "example.org"}):
+        with pytest.raises(ConfigError, match="keys create"):
+            async with running(make_app(**settings)):
+                pass
+    for settings in ({"auth": "off", "host": "0.0.0.0"}, {"host": "::1"}, {"host": "localhost"}):
+        async with running(make_app(**settings)) as api:
+            assert (await api.http.get("/v1/me")).json()["key_id"] == "local"
+
+
+async def test_a_key_is_honoured_where_none_is_needed(make_app):
+    async with running(make_app()) as api:
+        _, key = await api.app.state.services.keys.create("acme", Role.READ, "test", None)
+        for token, status in ((key, 200), (key[:-2] + "zz", 401)):
+            answer = await api.http.get("/v1/me", headers={"Authorization": f"Bearer {token}"})
+            assert answer.status_code == status
+            assert status == 401 or answer.json()["tenant"] == "acme"
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 200),
+        ({"Host": "localhost:8000"}, 200),
+        ({"Host": "[::1]:8000"}, 200),
+        ({"Host": "attacker.example"}, 403),  # a name that was made to lead here
+        ({"Host": "127.0.0.1.attacker.example"}, 403),
+        ({"Host": "dome.example"}, 200),
+        ({"Host": "127.0.0.1:8000", "Origin": "http://127.0.0.1:8000"}, 200),
+        ({"Origin": "http://127.0.0.1:9000"}, 403),
+        ({"Origin": "https://attacker.example"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "https://page.example"}, 200),
+        ({"Origin": "http://["}, 403),
+    ],
+)
+async def test_pages_of_other_sites_get_nothing(make_app, headers, status):
+    app = make_app(allowed_hosts="dome.example", allowed_origins="https://page.example")
+    async with running(app) as api:
+        for method, path in (("GET", "/v1/sessions"), ("POST", "/v1/tickets"), ("GET", "/metrics")):
+            answer = await api.http.request(method, path, headers=headers)
+            assert answer.status_code in (status, status + 1), (path, answer.text)
+            if status == 403:
+                assert answer.json()["type"] == "urn:skypose:problem:foreign-origin"
+                assert answer.json()["setting"].startswith("SKYPOSE_ALLOWED_")
+            allowed = answer.headers.get("access-control-allow-origin")
+            assert allowed == ("https://page.example" if headers.get("Origin") == "https://page.example" else None)
+
+
+async def test_every_answer_has_security_headers(api):
+    for path in ("/", "/docs", "/static/favicon.svg", "/v1/sessions", "/v1/sessions/x", "/nothing", "/healthz"):
+        headers = (await api.http.get(path)).headers
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["referrer-policy"] == "no-referrer"
+        policy = headers["content-security-policy"]
+        assert "default-src 'none'" in policy
+        assert "frame-ancestors 'none'" in policy
+        assert "http" not in policy
+    assert "authorization" in (await api.http.get("/v1/sessions")).headers["vary"].lower()
+
+
+def test_page_policy_knows_the_inline_scripts():
+    policy = page_policy('<script src="/a.js"></script><script type="importmap">{}</script><script>1</script>')
+    scripts = next(part for part in policy.split("; ") if part.startswith("script-src"))
+    assert scripts.count("'sha256-") == 2
+    assert "unsafe" not in policy
+
+
+async def test_audit_log_tells_who_did_what(make_app, tmp_path):
+    async with guarded(make_app, tmp_path) as callers:
+        acme, reader = await callers.client("acme"), await callers.client("acme", "read")
+        session_id = await acme.ready_session()
+        await acme.post(session_id, 1)
+        await reader.http.delete(f"/v1/sessions/{session_id}")
+        await acme.http.get(f"/v1/sessions/{session_id}/checkpoint")
+        await acme.http.delete(f"/v1/sessions/{session_id}")
+        nobody = await callers.with_token(None)
+        for _ in range(3):
+            await nobody.http.get(f"/v1/sessions/{session_id}?ticket=hush", headers={"Authorization": "Bearer hush"})
+        await callers.app.state.services.audit.store(final=True)
+        entries = (await acme.http.get("/v1/audit")).json()["entries"]
+        me = (await acme.http.get("/v1/me")).json()["key_id"]
+        assert [(entry["action"], entry["outcome"]) for entry in entries if entry["actor"] == me] == [
+            ("POST /v1/models", 201),
+            ("POST /v1/sessions", 201),
+            ("GET /v1/sessions/{session_id}/checkpoint", 200),
+            ("DELETE /v1/sessions/{session_id}", 204),
+        ]
+        refused = [entry for entry in entries if entry["actor"] != me]
+        assert [(entry["outcome"], entry["target"]) for entry in refused] == [(403, session_id)]
+        root = await callers.with_token(BOOTSTRAP)
+        text = (await root.http.get("/v1/audit")).text
+        unknown = json.loads(text)["entries"]
+        assert [(entry["outcome"], entry["count"], entry["actor"]) for entry in unknown] == [(401, 3, "-")]
+        assert "hush" not in text
+
+
+class TestStreams:
+    """WebSocket and SSE, through a real server."""
+
+    async def test_refused_before_anything_is_accepted(self, make_app, tmp_path):
+        async with guarded_server(make_app, tmp_path) as callers:
+            acme, other = await callers.client("acme"), await callers.key("other")
+            session_id = await acme.session()
+            key = await callers.key("acme", "read")
+            for name, headers, query, status in (
+                ("none", {}, "", 401),
+                ("wrong", {"Authorization": "Bearer x"}, "", 401),
+                ("foreign tenant", {"Authorization": f"Bearer {other}"}, "", 404),
+                ("foreign page", {"Authorization": f"Bearer {key}", "Origin": "https://attacker.example"}, "", 403),
+                ("made-up ticket", {}, "?ticket=x", 401),
+            ):
+                url = f"//{callers.address}/v1/sessions/{session_id}"
+                with pytest.raises(websockets.InvalidStatus) as refusal:
+                    await websockets.connect(f"ws:{url}/stream{query}", additional_headers=headers)
+                assert refusal.value.response.status_code == status, name
+                async with httpx.AsyncClient() as http:
+                    answer = await http.get(f"http:{url}/events{query}", headers=headers)
+                assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
+
+    async def test_ticket_opens_one_stream(self, make_app, tmp_path):
+        async with guarded_server(make_app, tmp_path) as callers:
+            acme = await callers.client("acme")
+            session_id = await acme.ready_session()
+            ticket = (await acme.http.post("/v1/tickets")).json()["ticket"]
+            url = f"ws://{callers.address}/v1/sessions/{session_id}/stream?ticket={ticket}"
+            own_page = {"Origin": f"http://{callers.address}"}
+            async with websockets.connect(url, additional_headers=own_page) as socket:
+                await acme.post(session_id, 1)
+                assert json.loads(await socket.recv())["type"] == "estimate"
+                with pytest.raises(websockets.InvalidStatus) as refusal:
+                    await websockets.connect(url)
+                assert refusal.value.response.status_code == 401
+            ticket = (await acme.http.post("/v1/tickets")).json()["ticket"]
+            assert (await acme.http.get(f"/v1/me?ticket={ticket}", headers={"Authorization": ""})).status_code == 401
+
+    async def test_stream_ends_with_its_key(self, make_app, tmp_path):
+        async with guarded_server(make_app, tmp_path, credential_cache_s=0) as callers:
+            acme, reader = await callers.client("acme"), await callers.key("acme", "read")
+            session_id = await acme.session()
+            url = f"ws://{callers.address}/v1/sessions/{session_id}/stream"
+            async with websockets.connect(url, additional_headers={"Authorization": f"Bearer {reader}"}) as socket:
+                await acme.http.delete(f"/v1/keys/{reader.split('_')[1]}")
+                with pytest.raises(websockets.ConnectionClosed) as closed:
+                    await socket.recv()
+                assert closed.value.rcvd.code == 1008
+
+
+async def test_streams_of_one_tenant_leave_room_for_others(make_app, tmp_path):
+    async with guarded_server(make_app, tmp_path, quota_streams=1) as callers:
+        sessions = {}
+        for tenant in ("acme", "other"):
+            api = await callers.client(tenant)
+            sessions[tenant] = (await Api(api.http).session(), await callers.key(tenant))
+        for tenant, (session_id, key) in sessions.items():
+            url, headers = f"//{callers.address}/v1/sessions/{session_id}", {"Authorization": f"Bearer {key}"}
+            async with websockets.connect(f"ws:{url}/stream", additional_headers=headers):
+                async with httpx.AsyncClient(headers=headers) as http:
+                    answer = await http.get(f"http:{url}/events")
+                assert (answer.status_code, answer.json()["setting"]) == (429, "SKYPOSE_QUOTA_STREAMS"), tenant
