@@ -16,7 +16,7 @@ from service.api.auth import ReadSession
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.exports.formats import FORMATS
-from service.sessions.archive import particle_arrays
+from service.sessions.particle_set import ParticleSet
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["estimates"])
 NPZ = "application/x-npz"
@@ -96,10 +96,10 @@ async def read_picture(session: ReadSession, index: Index, services: ServicesDep
 @router.get(
     "/estimates/{index}/frame.fits",
     response_class=Response,
-    responses={200: {"content": {"image/fits": {}}}, **problems(404, 409, 410, 422)},
+    responses={200: {"content": {"image/fits": {}}}, **problems(404, 410, 422, 503)},
 )
 async def read_frame_fits(session: ReadSession, index: Index, services: ServicesDep) -> Response:
-    """The frame as it was sent, with its best pose in `POSE_*` cards; of frames that came as FITS."""
+    """The frame with its best pose in `POSE_*` cards: the file that was sent where that was FITS, else a new one."""
     body = await services.archive.frame_fits(session, index)
     return Response(body, media_type="image/fits", headers={"Cache-Control": "private, max-age=86400"})
 
@@ -117,9 +117,9 @@ async def read_particles(
     most: Annotated[int | None, Query(ge=1, description="No more than so many, drawn by their weights")] = None,
 ) -> Response:
     """The weighted particles after a frame, as JSON or (`Accept: application/x-npz`) as NumPy arrays."""
-    found, packed, names = await services.archive.particles(session, index)
+    found = await services.archive.particles(session, index)
     as_npz = NPZ in request.headers.get("accept", "")
-    body = await asyncio.to_thread(_npz if as_npz else _particles_json, packed, found, names, most)
+    body = await asyncio.to_thread(_npz if as_npz else _particles_json, found, most)
     return Response(body, media_type=NPZ if as_npz else "application/json", headers={"Vary": "Accept"})
 
 
@@ -140,17 +140,17 @@ async def export(
     return Response(body, media_type=kind.media_type, headers={"Content-Disposition": disposition})
 
 
-def _npz(packed: bytes, index: int, names: tuple[str, ...], most: int | None) -> bytes:
+def _npz(found: ParticleSet, most: int | None) -> bytes:
     buffer = io.BytesIO()
-    arrays = particle_arrays(packed, most)
-    np.savez(buffer, index=np.int64(index), joint_names=np.array(names, dtype=np.str_), **arrays)
+    names = np.array(found.joint_names, dtype=np.str_)
+    np.savez(buffer, index=np.int64(found.index), joint_names=names, **found.arrays(most))
     return buffer.getvalue()
 
 
-def _particles_json(packed: bytes, index: int, names: tuple[str, ...], most: int | None) -> bytes:
-    arrays = {name: np.ascontiguousarray(value) for name, value in particle_arrays(packed, most).items()}
-    order = {"orientation_order": ["w", "x", "y", "z"], "joint_names": names}
-    return orjson.dumps({"index": index, **order, **arrays}, option=orjson.OPT_SERIALIZE_NUMPY)
+def _particles_json(found: ParticleSet, most: int | None) -> bytes:
+    arrays = {name: np.ascontiguousarray(value) for name, value in found.arrays(most).items()}
+    head = {"index": found.index, "orientation_order": ["w", "x", "y", "z"], "joint_names": found.joint_names}
+    return orjson.dumps({**head, **arrays}, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
 def _json(document: bytes) -> Response:

@@ -164,6 +164,13 @@ class CameraParams:
     """East of Greenwich."""
     ser_byte_order: Literal["auto", "little", "big"] = "auto"
     """Of 16-bit SER files: their own flag is wrong in most, so `auto` looks at the pixels."""
+    headers: Literal["use", "ignore"] = "use"
+    """Time and pointing that frames bring in their own headers, where the call is silent."""
+    roi: tuple[int, int, int, int] | None = None
+    """Region of interest `[x, y, width, height]`, pixels: nothing else of a frame is looked at. What is reported stays
+    in pixels of the whole frame; shares of the image (`prior`, `motion.position`) are those of the region."""
+    binning: int = 1
+    """Squares of so many pixels a side are averaged before anything else, for speed or faint objects."""
 
     def __post_init__(self) -> None:
         _require(self.psf_sigma_px is None or 0 < self.psf_sigma_px <= 100, "psf_sigma_px must lie in (0, 100]")
@@ -174,6 +181,14 @@ class CameraParams:
         _require(longitude is None or abs(longitude) <= 360, "site_longitude_deg must be within 360")
         _require((latitude is None) == (longitude is None), "a site has a latitude and a longitude")
         _require(self.mount == "equatorial" or latitude is not None, "an altaz mount needs the site")
+        x, y, width, height = self.roi or (0, 0, 1, 1)
+        _require(min(x, y) >= 0 and min(width, height) >= 1, "roi is [x, y, width, height], none of them negative")
+        _require(1 <= self.binning <= 64, "binning must be between 1 and 64")
+
+    @property
+    def origin_px(self) -> tuple[int, int]:
+        """Where the region of interest begins."""
+        return (0, 0) if self.roi is None else (self.roi[0], self.roi[1])
 
 
 @dataclass(frozen=True)

@@ -15,20 +15,20 @@ from service.exports.formats import Subject, export
 from service.exports.history import PoseName
 from service.inference.articulation import hold
 from service.inference.params import SessionConfig
-from service.inference.state import FilterState
 from service.sessions import config as session_config
 from service.sessions.contenders import require_one_model
 from service.sessions.document import JointNames
-from service.sessions.frame_fits import frame_fits
+from service.sessions.frame_fits import image_with_pose, is_fits, original_with_pose
 from service.sessions.library import articulation_of
+from service.sessions.particle_set import ParticleSet
 from service.sessions.smoothing import smoothed_page
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, SessionRecord
 from service.store.database import Database
 from service.store.scope import SessionKey, model_key, public_id
 from service.workers.base import OverlayJob
-from service.workers.codec import decode
 from service.workers.engine import Engine
+from service.workers.splitting import SplitJob
 
 EVERYTHING = 1 << 30
 
@@ -92,14 +92,21 @@ class Archive:
         return await self._engine.overlay(job, self._blob)
 
     async def frame_fits(self, session_id: SessionKey, index: int) -> bytes:
-        """A frame's FITS file with its pose. Raises ``ConflictError`` for another format, ``GoneError``."""
+        """A frame as FITS with its pose. Raises ``GoneError`` where it is no longer kept."""
         body, media_type = await self.database.read(frames.body, session_id, index)
-        return await asyncio.to_thread(frame_fits, body, media_type, await self.estimate(session_id, index))
+        estimate = await self.estimate(session_id, index)
+        if is_fits(media_type):
+            return await asyncio.to_thread(original_with_pose, body, estimate)
+        _, config = await self._setting(session_id)
+        job = SplitJob(body, media_type, config.camera.ser_byte_order)
+        (frame,) = await self._engine.transport.call(None, "split", job)  # one frame: others are stored singly
+        return await asyncio.to_thread(image_with_pose, frame.body, estimate)
 
-    async def particles(self, session_id: SessionKey, index: int | None) -> tuple[int, bytes, tuple[str, ...]]:
-        """Frame, packed state and joint names of a particle set. Raises ``GoneError`` where it is not kept."""
+    async def particles(self, session_id: SessionKey, index: int | None) -> ParticleSet:
+        """The particles after a frame, the newest by default. Raises ``GoneError`` where they are not kept."""
         found, packed = await self.database.read(frames.particle_set, session_id, index)
-        return found, packed, await self.joint_names(session_id, found)
+        _, config = await self._setting(session_id)
+        return ParticleSet(found, packed, await self.joint_names(session_id, found), config.camera)
 
     async def joint_names(self, session_id: SessionKey, index: int | None = None) -> tuple[str, ...]:
         """Names of the estimated joints, in the order of their columns; ``index``: under the model of that frame."""
@@ -139,28 +146,6 @@ class Archive:
 
 def _export(form: str, documents: Sequence[bytes], pose: PoseName, subject: Subject) -> bytes:
     return export(form, [orjson.loads(document) for document in documents], pose, subject)
-
-
-def particle_arrays(packed: bytes, most: int | None = None) -> dict[str, Any]:
-    """A packed state as named arrays: orientation (N, 4) w x y z, position_px (N, 2), scale_px, joints, weights.
-
-    Of more than ``most`` particles, so many are drawn (systematically, so the same every time), each once and with
-    the share of the draws that fell on it as its weight.
-    """
-    state = decode(FilterState, packed)
-    arrays = {
-        "orientation": state.poses.quaternion,
-        "position_px": state.poses.position,
-        "scale_px": np.exp(state.poses.log_scale),
-        "joints": state.poses.joints,
-    }
-    weights = np.exp(state.log_weights - np.logaddexp.reduce(state.log_weights))
-    if most is None or len(weights) <= most:
-        return {**arrays, "weights": weights}
-    cumulative = np.cumsum(weights)
-    draws = np.searchsorted(cumulative / cumulative[-1], (np.arange(most) + 0.5) / most)
-    drawn, counts = np.unique(draws, return_counts=True)
-    return {**{name: value[drawn] for name, value in arrays.items()}, "weights": counts / most}
 
 
 def session_document(record: SessionRecord) -> dict[str, Any]:

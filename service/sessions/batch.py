@@ -38,7 +38,9 @@ class Batches:
         config = session_config.parse(orjson.dumps(owner.record.config))
         job = SplitJob(whole.body, whole.media_type, config.camera.ser_byte_order)
         parts: Sequence[SplitFrame] = await self._engine.transport.call(session_id, "split", job)
-        times = frame_times(whole.time, [part.facts.time for part in parts], config.motion.frame_interval_s)
+        believed = config.camera.headers == "use"
+        stamps = [part.facts.time if believed else None for part in parts]
+        times = frame_times(whole.time, stamps, config.motion.frame_interval_s)
         for k, part in enumerate(parts):
             frame = await asyncio.to_thread(_single, whole, k, part, times[k])
             owner = await self._registry.get(session_id)  # it may have been evicted since

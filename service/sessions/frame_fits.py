@@ -1,4 +1,4 @@
-"""A frame's own FITS file with its pose in ``POSE_*`` cards."""
+"""A frame as FITS with its pose in ``POSE_*`` cards: its own file where it came as FITS."""
 
 from __future__ import annotations
 
@@ -7,21 +7,32 @@ from typing import Any
 
 import orjson
 
-from service.errors import ConflictError
-from service.imaging.decode import FITS
+from service.imaging.decode import FITS, decode_frame
 from service.imaging.headers import media_kind
 from service.imaging.limits import DEFAULT_LIMITS
+from service.imaging.split import PNG
 
 _ELEMENTS = {"W": "w", "X": "x", "Y": "y", "Z": "z"}
 
 
-def frame_fits(body: bytes, media_type: str, document: bytes) -> bytes:
-    """The original file plus cards. Raises ``ConflictError`` for a frame that was sent in another format."""
-    if media_kind(media_type) not in FITS:
-        raise ConflictError(f"the frame was sent as {media_type}, not as FITS", field="index")
+def is_fits(media_type: str) -> bool:
+    """Whether a frame came as FITS, so that its own file can be given back."""
+    return media_kind(media_type) in FITS
+
+
+def original_with_pose(body: bytes, document: bytes) -> bytes:
+    """A frame's own FITS file plus cards: every other byte of it as it was."""
     from service.imaging.formats.fits_cards import with_cards  # astropy, when it is needed
 
     return with_cards(body, pose_cards(orjson.loads(document)), limit=16 * DEFAULT_LIMITS.pixels)
+
+
+def image_with_pose(png: bytes, document: bytes) -> bytes:
+    """A new FITS file of a frame that came in another format, given as PNG by a worker."""
+    from service.imaging.formats.fits_image import fits_of_image  # astropy, when it is needed
+
+    estimate = orjson.loads(document)
+    return fits_of_image(decode_frame(png, PNG).image, estimate["time"], pose_cards(estimate))
 
 
 def pose_cards(estimate: Mapping[str, Any]) -> list[tuple[str, str | float | int, str]]:

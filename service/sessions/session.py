@@ -13,7 +13,7 @@ import orjson
 import structlog
 
 from service.errors import IdempotencyKeyError, NoBackgroundError
-from service.imaging.facts import FrameFacts
+from service.imaging.facts import NOTHING, FrameFacts
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
 from service.sessions.absolute import View
@@ -76,8 +76,13 @@ class Session:
     @property
     def frame_pixels(self) -> int:
         """Pixels of a frame: those of the background; 0 before there is one."""
+        width, height = self._frame_size or (0, 0)
+        return width * height
+
+    @property
+    def _frame_size(self) -> tuple[int, int] | None:
         info = self.record.background_info
-        return 0 if info is None else int(info["height"]) * int(info["width"])
+        return None if info is None else (int(info["width"]), int(info["height"]))
 
     def submit(self, frame: FrameIn) -> asyncio.Future[Answer]:
         """Queue a frame. The future holds the answer once it is committed."""
@@ -99,14 +104,18 @@ class Session:
             return Answer(index, as_duplicate(document), duplicate=True)
         if record.background_key is None:
             raise NoBackgroundError("post a background image first", field="background")
-        facts = frame.facts
-        if facts is None:
-            facts = await self._rooms.inspector.facts(frame.body, frame.media_type)
+        facts = await self._facts(frame)
         frame = replace(frame, time=frame.time or facts.time)
         moment = frame_time(record, frame, self._config.motion.frame_interval_s)
         view = await self._view(frame, facts, moment)
         contenders, report = await self._track(frame, record.background_key, moment.seconds)
         return await self._commit(frame, moment, contenders, report, view)
+
+    async def _facts(self, frame: FrameIn) -> FrameFacts:
+        """What the frame's own header says, where the session believes it."""
+        if self._config.camera.headers == "ignore":
+            return NOTHING
+        return frame.facts or await self._rooms.inspector.facts(frame.body, frame.media_type)
 
     async def _view(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> View | None:
         """The camera at this frame, and how it turned since the frame before."""
@@ -144,6 +153,7 @@ class Session:
             body=frame.body,
             media_type=frame.media_type,
             twins=contender.twins,
+            size=self._frame_size,
         )
         return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob, guide)
 
@@ -221,6 +231,7 @@ class Session:
             background=learned,
             box=image.box,
             border_px=image.border_px,
+            size=self._frame_size,
         )
         report = await self._rooms.engine.learn_background(record.id, job)
         key = (await asyncio.to_thread(hashlib.sha256, report.background)).hexdigest()

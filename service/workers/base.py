@@ -56,6 +56,7 @@ class BackgroundJob:
     background: bytes | None  # what was learned so far (opaque), or None
     box: tuple[float, float, float, float] | None = None  # x, y, w, h: learn outside of it
     border_px: float | None = None  # learn from the border only
+    size: tuple[int, int] | None = None  # width and height that the image must have
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class BackgroundReport:
 
     background: bytes
     frames: int
-    height: int
+    height: int  # of the whole frame
     width: int
     channels: int
     bits: int
@@ -87,6 +88,7 @@ class FrameJob:
     blobs: Mapping[str, bytes] = field(default_factory=dict)
     twins: tuple[Symmetry, ...] = ()  # symmetries of the model, joints by position in ``articulation``
     guide: Mapping[str, NDArray[np.generic]] | None = None  # memory to measure the frame with; None: the state's own
+    size: tuple[int, int] | None = None  # width and height that the frame must have; None: what fits the background
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ class SmoothJob:
     config: SessionConfig
     articulation: Articulation
     twins: tuple[Symmetry, ...]  # joints by position in ``articulation``
-    width: int
+    width: int  # of the whole frame
     height: int
     beliefs: tuple[bytes | None, ...]
     count: int  # frames to answer, from the first on; the others are only what came after

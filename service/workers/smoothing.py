@@ -19,6 +19,7 @@ from service.inference.symmetry import Symmetry
 from service.models.symmetry_group import held_symmetries
 from service.workers.base import FrameJob, SmoothJob, SmoothReport
 from service.workers.codec import decode
+from service.workers.full_frame import camera_window, smoothed_in_full_frame
 
 _ANY_RADIUS = 1.0  # the body's size shifts the bounds of the scale; only their ratio counts here
 
@@ -26,15 +27,15 @@ _ANY_RADIUS = 1.0  # the body's size shifts the bounds of the scale; only their 
 def smooth_pass(job: SmoothJob) -> SmoothReport:
     """The smoothed marginals of the first ``job.count`` frames. Raises ``CheckpointError`` for a broken belief."""
     articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
-    domain = Domain(job.width, job.height, _ANY_RADIUS, articulation, job.config.prior)
+    camera = job.config.camera
+    domain = Domain(*camera_window(camera, job.width, job.height).size, _ANY_RADIUS, articulation, job.config.prior)
     told = held_symmetries(job.twins, job.articulation, articulation)
     space = Space(rate_filter(job.config.motion, domain, None), domain, told)
     filtered = [None if packed is None else decode(Belief, packed) for packed in job.beliefs]
     with_rates = job.config.motion.kind == "constant_velocity"
     found = smooth(filtered, space)[: job.count]
-    return SmoothReport(
-        tuple(None if belief is None else summarise_belief(belief, told, domain, with_rates) for belief in found)
-    )
+    told_of = (None if b is None else summarise_belief(b, told, domain, with_rates) for b in found)
+    return SmoothReport(tuple(None if e is None else smoothed_in_full_frame(e, camera) for e in told_of))
 
 
 def belief_after(job: FrameJob, state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> Belief | None:

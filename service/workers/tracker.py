@@ -53,6 +53,7 @@ from service.workers.base import (
 from service.workers.cache import Cache
 from service.workers.decode_process import DecodeProcess
 from service.workers.decoding import Decoder, InPlace
+from service.workers.full_frame import camera_window, in_full_frame, in_window
 from service.workers.limits import DecodeLimits
 from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
@@ -103,18 +104,21 @@ class Tracker:
     def learn_background(self, job: BackgroundJob) -> BackgroundReport:
         """Decode an image, or every frame of a file, and add it to the background."""
         background = None if job.background is None else Background.from_bytes(job.background)
-        for image in self._decoder.frames(job.body, job.media_type, job.config.camera.ser_byte_order):
+        camera, size = job.config.camera, job.size
+        for whole in self._decoder.frames(job.body, job.media_type, camera.ser_byte_order):
+            size = _require_size(whole, size)
+            window = camera_window(camera, *size)
+            image = window.cut(whole)
             if background is not None:
                 _require_same(image, background.shape, background.bits)
-            height, width = image.image.shape[:2]
             likelihood = job.config.likelihood
             spec = feature_spec(likelihood.feature, image.channels, image.bits, likelihood.gradient_sigma_px)
-            known = known_pixels(height, width, job.box, job.border_px)
+            known = window.cut_mask(known_pixels(size[1], size[0], job.box, job.border_px))
             if not known.any():
                 raise ConfigError("no pixel is left to learn the background from", field="query:box")
             background = learn(background, image.image, image.bits, spec, known)
-        assert background is not None, "a decoder yields at least one frame"
-        height, width, channels = background.shape
+        assert background is not None and size is not None, "a decoder yields at least one frame"
+        (width, height), channels = size, background.shape[2]
         return BackgroundReport(background.to_bytes(), background.n_frames, height, width, channels, background.bits)
 
     def split(self, job: SplitJob) -> tuple[SplitFrame, ...]:
@@ -124,14 +128,15 @@ class Tracker:
     def track(self, job: FrameJob) -> FrameReport:
         """Decode a frame, measure it, and run one step of the filter."""
         began = time.perf_counter()
-        image = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
+        whole = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
+        image = camera_window(job.config.camera, *_require_size(whole, job.size)).cut(whole)
         likelihood = job.config.likelihood
         key = f"{job.background}:{likelihood.feature}:{likelihood.gradient_sigma_px}"
         sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
         _require_same(image, sky.mean.shape, sky.spec.bits)
         decoded = time.perf_counter()
         memory = job.guide if job.guide is not None else {} if job.state is None else job.state.memory
-        observation = observe(image, sky, job.config, memory)
+        observation = observe(image, sky, in_window(job.config), memory)
         maps = observation.maps
         maps.log_ratio.flags.writeable = False
         measured = time.perf_counter()
@@ -161,7 +166,7 @@ class Tracker:
         )
         state = replace(state, memory=kept)
         belief = belief_after(job, state, twins, domain)
-        estimate = with_rates(estimate, state, belief, job, domain)
+        estimate = in_full_frame(with_rates(estimate, state, belief, job, domain), job.config.camera)
         done = time.perf_counter()
         timing = {
             "decode": decoded - began,
@@ -250,6 +255,14 @@ def _blob(blobs: Mapping[str, bytes], key: str) -> bytes:
 
 def _sky(config: SessionConfig, blob: bytes) -> Sky:
     return derive(Background.from_bytes(blob), config.likelihood.feature, config.likelihood.gradient_sigma_px)
+
+
+def _require_size(image: Image, size: tuple[int, int] | None) -> tuple[int, int]:
+    """Width and height of a whole frame, which must be ``size`` where that is known."""
+    height, width = image.image.shape[:2]
+    if size is not None and size != (width, height):
+        raise ImageMismatchError(f"the image is {width} x {height}, the background {size[0]} x {size[1]}", field="body")
+    return width, height
 
 
 def _require_same(image: Image, shape: Iterable[int], bits: int) -> None:

@@ -123,6 +123,28 @@ async def test_the_frame_comes_back_with_its_pose(api):
     gcrf = best["attitude"]["orientation"]
     assert [header[f"POSE_G{a}"] for a in "WXYZ"] == pytest.approx([gcrf[a] for a in "wxyz"], abs=1e-12)
     assert (header["POSE_IDX"], header["POSE_X"]) == (0, pytest.approx(best["x_px"]))
-    other = await api.http.get(f"/v1/sessions/{session_id}/estimates/1/frame.fits")
-    assert other.status_code == 409
     assert (await api.http.get(f"/v1/sessions/{session_id}/estimates/9/frame.fits")).status_code == 404
+
+
+@pytest.mark.parametrize("media", ["image/png", "video/x-ser", "application/imagebytes"])
+async def test_a_frame_of_another_format_comes_back_as_a_new_file(api, media):
+    session_id = await api.session()
+    await post(api, session_id, media, "background")
+    told = (await post(api, session_id, media, time="2026-11-20T03:04:05.25Z")).json()
+    answer = await api.http.get(f"/v1/sessions/{session_id}/estimates/0/frame.fits")
+    with fits.open(io.BytesIO(answer.content)) as found:
+        found.verify("exception")
+        np.testing.assert_array_equal(found[0].data[::-1], DEEP)
+        header = found[0].header
+    assert (header["DATE-AVG"], header["POSE_Y"]) == ("2026-11-20T03:04:05.250", told["best"]["y_px"])
+    again = await api.http.post(
+        f"/v1/sessions/{session_id}/frames", content=answer.content, headers={"Content-Type": "image/fits"}
+    )
+    assert (again.status_code, again.json()["time"]) == (200, told["time"])
+
+
+async def test_what_headers_say_may_be_left_out(api):
+    session_id = await api.session(camera={"headers": "ignore"})
+    await post(api, session_id, "image/fits", "background")
+    told = (await post(api, session_id, "image/fits")).json()
+    assert told["camera"] is None and told["time"] != "2026-11-20T03:04:05.500Z"
