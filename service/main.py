@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import structlog
 from fastapi import FastAPI
@@ -186,8 +187,18 @@ def _allow_origins(app: FastAPI, origins: list[str]) -> None:
         app.add_middleware(CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=headers)
 
 
+class PageFiles(StaticFiles):
+    """Files of the page, asked for anew each time (304 where unchanged): scripts of two releases must not meet."""
+
+    def file_response(self, *args: Any, **kwargs: Any) -> Response:
+        """With the header that says so."""
+        response = super().file_response(*args, **kwargs)
+        response.headers["Cache-Control"] = "no-cache"
+        return response
+
+
 def _serve_viewer(app: FastAPI) -> None:
-    app.mount("/static", StaticFiles(directory=VIEWER), name="static")
+    app.mount("/static", PageFiles(directory=VIEWER), name="static")
 
     @app.get("/", include_in_schema=False)
     async def page() -> Response:

@@ -20,6 +20,7 @@ export class Api {
   constructor(askKey) {
     this.askKey = askKey;
     this.asking = null;
+    this.declined = false; // the user gave no key: not asked again for every call that is refused
   }
 
   get key() {
@@ -35,7 +36,7 @@ export class Api {
       const problem = new Problem(answer.status, await readProblem(answer));
       problem.retryAfter = Number(answer.headers.get("Retry-After")) || null;
       if (answer.status !== 401) throw problem;
-      if (sent === this.key && !(await this.newKey(problem))) throw problem;
+      if (sent === this.key && (this.declined || !(await this.newKey(problem)))) throw problem;
     }
   }
 
@@ -52,8 +53,13 @@ export class Api {
   async newKey(problem) {
     this.asking ??= this.askKey(problem).finally(() => { this.asking = null; });
     const key = await this.asking;
+    this.declined = !key;
     if (key) sessionStorage.setItem(KEY, key);
     return Boolean(key);
+  }
+
+  forgetKey() {
+    sessionStorage.removeItem(KEY);
   }
 
   async json(path, options) {

@@ -33,7 +33,7 @@ export class CreateDialog {
   }
 
   async open() {
-    if (this.dialog.open) return;
+    if (this.dialog.open || document.body.classList.contains("reader")) return;
     this.dialog.showModal();
     try {
       this.models = (await this.api.json("/v1/models?limit=200")).models.reverse();

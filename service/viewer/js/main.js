@@ -100,5 +100,25 @@ addEventListener("unhandledrejection", (event) => {
   event.preventDefault();
   tellProblem(event.reason);
 });
+
+// Who we are: a reader is offered nothing that would be refused.
+async function identify() {
+  try {
+    const me = await api.json("/v1/me");
+    document.body.classList.toggle("reader", me.role === "read");
+    $("key-button").hidden = !api.key;
+    $("key-button").title = `${me.role} of ${me.tenant}`;
+  } catch (error) {
+    if (error.status !== 401) throw error;
+    $("key-button").hidden = false;
+    $("key-button").textContent = "Enter a key";
+  }
+}
+
+$("key-button").addEventListener("click", () => {
+  api.forgetKey();
+  location.reload();
+});
+await identify().catch(tellProblem);
 await watch.prepare();
 list.run();

@@ -13,7 +13,7 @@ export class Watch {
     setInterval(() => this.tick(), 500);
   }
 
-  // What the service says of itself; without it the page works too.
+  // How often the service's stream is heard from, at least; without that the page works too.
   async prepare() {
     try {
       this.heartbeatS = (await this.api.json("/v1/system")).settings?.stream_heartbeat_s ?? USUAL_HEARTBEAT_S;
