@@ -1,0 +1,76 @@
+"""What a key or a tenant may have is bounded, each refusal names its limit, and others are not touched."""
+
+import asyncio
+
+import pytest
+from api_client import PNG, Api, image, running
+from callers import guarded
+from fake_worker import CUBE, SlowWorker
+
+pytestmark = pytest.mark.anyio
+
+
+def limit_named(answer, setting: str, kind: str = "quota-exceeded", status: int = 429) -> None:
+    assert (answer.status_code, answer.json()["type"]) == (status, f"urn:skypose:problem:{kind}"), answer.text
+    assert answer.json()["setting"] == setting
+    assert answer.json()["limit"]
+    assert int(answer.headers["retry-after"]) >= 1
+
+
+async def test_sessions_and_models_of_a_tenant(make_app, tmp_path):
+    async with guarded(make_app, tmp_path, quota_sessions=2, quota_models=1) as callers:
+        acme, other = await callers.client("acme"), await callers.client("other")
+        first = await acme.session()
+        model_id = (await acme.http.get(f"/v1/sessions/{first}")).json()["model_id"]
+        await acme.session()  # the same model: not one more
+        limit_named(await acme.http.post("/v1/sessions", json={"model_id": model_id}), "SKYPOSE_QUOTA_SESSIONS")
+        limit_named(await acme.model(CUBE + b"2"), "SKYPOSE_QUOTA_MODELS")
+        blob = (await acme.http.get(f"/v1/sessions/{first}/checkpoint")).content
+        limit_named(await acme.http.put("/v1/sessions/new/checkpoint", content=blob), "SKYPOSE_QUOTA_SESSIONS")
+        assert (await acme.http.put(f"/v1/sessions/{first}/checkpoint", content=blob)).status_code == 200
+        await other.session(CUBE + b"2")
+        assert (await acme.http.delete(f"/v1/sessions/{first}")).status_code == 204
+        await acme.session()
+
+
+async def test_particles_of_a_tenant(make_app, tmp_path):
+    async with guarded(make_app, tmp_path, quota_particles=5000) as callers:
+        acme = await callers.client("acme")
+        await acme.session(filter={"particles": 3000})
+        model_id = (await acme.http.get("/v1/models")).json()["models"][0]["model_id"]
+        more = {"model_id": model_id, "filter": {"particles": 2001}}
+        limit_named(await acme.http.post("/v1/sessions", json=more), "SKYPOSE_QUOTA_PARTICLES")
+        await acme.session(filter={"particles": 2000})
+
+
+async def test_rates_of_a_key(make_app, tmp_path):
+    settings = {"rate_calls_per_s": 5, "rate_megabytes_per_s": 0.001, "rate_megapixels_per_s": 0.00001}
+    async with guarded(make_app, tmp_path, **settings) as callers:
+        setup = await callers.client("acme")
+        session_id = await setup.session()
+        here = f"/v1/sessions/{session_id}"
+        sky = await callers.client("acme", "operate")
+        assert (await sky.http.post(f"{here}/background", content=image(), headers=PNG)).status_code == 200
+        limit_named(await sky.post(session_id, 1), "SKYPOSE_RATE_MEGAPIXELS_PER_S", "rate-limited")
+        another = await callers.client("acme", "operate")
+        assert (await another.http.post("/v1/sessions", content=b" " * 30000)).status_code == 422
+        answer = await another.http.post("/v1/sessions", content=b" " * 10)
+        limit_named(answer, "SKYPOSE_RATE_MEGABYTES_PER_S", "rate-limited")
+        third = await callers.client("acme")
+        answers = [await third.http.get("/v1/me") for _ in range(30)]
+        limit_named(answers[-1], "SKYPOSE_RATE_CALLS_PER_S", "rate-limited")
+        assert (await (await callers.client("acme")).http.get("/v1/me")).status_code == 200
+
+
+async def test_calls_under_way_are_bounded(make_app):
+    """Past the limit a call is answered 503 at once; the ones under way end as if nothing had been."""
+    async with running(make_app(SlowWorker, max_calls=4)) as api:
+        session_id = await api.ready_session()
+        answers = await asyncio.gather(*(api.post(session_id, n) for n in range(12)))
+        statuses = [answer.status_code for answer in answers]
+        assert statuses.count(200) >= 4
+        refused = [answer for answer in answers if answer.status_code != 200]
+        assert refused
+        for answer in refused:
+            limit_named(answer, "SKYPOSE_MAX_CALLS", "busy", 503)
+        assert (await Api(api.http).post(session_id, 99)).status_code == 200
