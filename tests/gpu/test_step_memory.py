@@ -1,4 +1,4 @@
-"""A million particles in bounded memory, in a process of its own so that its peak is the step's."""
+"""A million particles in bounded memory, on the device and on the host, in a process of its own: its peak is theirs."""
 
 import os
 import subprocess
@@ -13,7 +13,12 @@ STEP = """
 import resource
 import numpy as np
 from gpu_cases import a_map
-from step_cases import Case, particles_of
+from step_cases import Case, particles_of, poses_of
+from service.inference.params import FilterParams, LikelihoodParams, SessionConfig
+from service.inference.state import FilterState, Frame, Measurement
+from service.inference.step import step
+from service.inference.weights import normalise
+from service.workers.scoring import TimedScorer
 
 case, n = Case(), 1_000_000
 particles = case.step.upload(particles_of(case.prior(n), np.full(n, -np.log(n))))
@@ -21,7 +26,14 @@ values, jitter = a_map(np.random.default_rng(0)), np.array([0.02] * 8)
 for resampler in ("multinomial", "systematic"):
     particles, summary = case.step.run(1, 0, particles, values, jitter, resampler, 0.001)
 assert 1 < summary.ess < n, summary
-assert abs(np.exp(case.step.download(particles).log_weights).sum() - 1) < 1e-4
+found = case.step.download(particles)
+assert abs(np.exp(found.log_weights).sum() - 1) < 1e-4
+
+state = FilterState(poses_of(found), normalise(found.log_weights)[0], np.zeros((n, 8)), 0, 0.0, "tracking")
+config = SessionConfig(FilterParams(method="bootstrap", particles=n, step="host"), LikelihoodParams(exponent=0.3))
+frame, score = Frame(1, 0.1, Measurement(values, 0.0)), TimedScorer(case.scorer, case.domain.articulation)
+state, estimate = step(np.random.default_rng(0), state, frame, score, config, case.domain)
+assert 1 < estimate.ess < n, estimate
 print(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
