@@ -20,7 +20,7 @@ def shown(page: Page) -> int:
 
 def picture_shows(page: Page, index: int) -> None:
     """Wait until image and outlines are those of this frame."""
-    expect(page.locator("#frame .frame-number")).to_have_text(f"frame {index}")
+    expect(page.locator("#frame .frame-number")).to_have_text(str(index))
 
 
 def open_session(page: Page, session_id: str) -> None:

@@ -1,7 +1,8 @@
 // The dialog of a new track: files in, a model, empty sky, moving parts; then everything is sent.
-import { ACCEPT_MESH, describe, dropped, isVideo, sort } from "./intake.js";
+import { ACCEPT_MESH, describe, dropped, isVideo, modelFiles, sort } from "./intake.js";
 import { problemText } from "./notices.js";
 import { element } from "./readout.js";
+import { titleOf } from "./sessions.js";
 
 const DEFAULT_FIRST = 5, MANY_JOINTS = 6;
 
@@ -15,7 +16,7 @@ export class CreateDialog {
     this.fields.mesh.accept = ACCEPT_MESH;
     this.fields.folder.addEventListener("change", () => this.take(this.fields.folder.files));
     this.fields.files.addEventListener("change", () => this.take(this.fields.files.files));
-    this.fields.mesh.addEventListener("change", () => this.takeMesh(this.fields.mesh.files[0]));
+    this.fields.mesh.addEventListener("change", () => this.takeModel(modelFiles([...this.fields.mesh.files])));
     this.fields.model.addEventListener("change", () => this.showModel());
     this.form.addEventListener("input", () => this.refresh());
     this.form.addEventListener("submit", (event) => { event.preventDefault(); this.submit(); });
@@ -32,9 +33,16 @@ export class CreateDialog {
     this.refresh();
   }
 
-  async open() {
+  // For a new session, or to send more frames to one that is there.
+  async open(session = null) {
     if (this.dialog.open || document.body.classList.contains("reader")) return;
+    this.session = session;
+    this.dialog.querySelector("h2").textContent = session ? `Frames for ${titleOf(session)}` : "New track";
+    for (const part of this.dialog.querySelectorAll(".of-new")) part.hidden = Boolean(session);
+    this.dialog.querySelector(".later").hidden = session?.state === "ready";
+    this.refresh();
     this.dialog.showModal();
+    if (session) return;
     try {
       this.models = (await this.api.json("/v1/models?limit=200")).models.reverse();
     } catch (error) {
@@ -70,7 +78,7 @@ export class CreateDialog {
     }
     this.chooseSky();
     await this.preview();
-    if (found.mesh) await this.takeMesh(found.mesh);
+    if (!this.session) await this.takeModel(found.model);
   }
 
   chooseSky() {
@@ -92,10 +100,11 @@ export class CreateDialog {
     picture.hidden = await picture.decode().then(() => false, () => true); // 16 bits or broken: the service will tell
   }
 
-  async takeMesh(file) {
+  async takeModel([file, ...meshes]) {
     if (!file) return;
     const form = new FormData();
     form.append("file", file);
+    for (const mesh of meshes) form.append("meshes", mesh);
     this.busy(`Reading ${file.name}…`);
     try {
       const model = await this.api.json("/v1/models", { method: "POST", body: form });
@@ -142,15 +151,18 @@ export class CreateDialog {
 
   refresh() {
     const { sky, frames, ignored } = this.found, { fields } = this;
-    const first = Number(fields.first.value);
-    const tracked = fields.sky.value === "first" ? frames.slice(first) : frames;
+    const tracked = this.tracked();
+    const known = this.dialog.querySelector(".known");
+    known.hidden = !this.session?.frames || frames.length <= this.session.frames;
+    known.querySelector("span").textContent = `The first ${this.session?.frames} are tracked already: leave them out`;
     this.dialog.querySelector(".frame-facts").textContent =
       frames.length ? describe(frames) + (ignored ? ` · ${ignored} other files left out` : "") : "";
     this.dialog.querySelector(".sky-facts").textContent = sky.length ? describe(sky) : "no folder called background or sky";
     fields.sky[0].disabled = !sky.length;
     fields.sky[1].disabled = frames.length < 2 || frames.some(isVideo);
     for (const part of this.dialog.querySelectorAll(".later")) part.disabled = !frames.length;
-    const missing = !frames.length ? "Choose the frames" : !this.model ? "Choose the spacecraft's model" : null;
+    const missing = !frames.length ? "Choose the frames"
+      : !this.model && !this.session ? "Choose the spacecraft's model" : null;
     const button = fields.start;
     button.disabled = Boolean(missing);
     const videos = tracked.filter(isVideo).length;
@@ -162,24 +174,37 @@ export class CreateDialog {
     this.problem.replaceChildren(error ? problemText(error) : "");
   }
 
+  // The frames to track: not those that serve as empty sky, or that the session has.
+  tracked() {
+    const { fields, found: { frames }, session } = this;
+    if (session?.state === "ready") {
+      const has = session.frames < frames.length && fields.known.checked ? session.frames : 0;
+      return frames.slice(has);
+    }
+    return fields.sky.value === "first" ? frames.slice(Number(fields.first.value)) : frames;
+  }
+
   plan() {
-    const { fields, found } = this;
-    const first = Number(fields.first.value);
+    const { fields, found, session } = this;
+    const sky = fields.sky.value === "files" ? found.sky : found.frames.slice(0, Number(fields.first.value));
+    const border = fields.sky.value === "border" ? fields.border.valueAsNumber : null;
+    if (session?.state === "ready") return { session, sky: [], border: null, frames: this.tracked() };
+    if (session) return { session, sky, border, frames: this.tracked() };
+    return { request: this.request(), sky, border, frames: this.tracked() };
+  }
+
+  request() {
+    const { fields } = this;
     const numbers = { particles: fields.particles.valueAsNumber, seed: fields.seed.valueAsNumber };
     const filter = Object.fromEntries(Object.entries(numbers).filter(([, value]) => Number.isFinite(value)));
     const joints = [...this.dialog.querySelectorAll(".joints input:checked")].map((input) => input.value);
     const rate = fields.rate.valueAsNumber;
     return {
-      request: {
-        model_id: this.model.model_id,
-        ...(fields.name.value.trim() ? { name: fields.name.value.trim() } : {}),
-        ...(joints.length ? { joints: { free: joints } } : {}),
-        filter: { preset: fields.preset.value, ...filter },
-        ...(rate > 0 ? { motion: { frame_interval_s: 1 / rate } } : {}),
-      },
-      sky: fields.sky.value === "files" ? found.sky : found.frames.slice(0, first),
-      border: fields.sky.value === "border" ? fields.border.valueAsNumber : null,
-      frames: fields.sky.value === "first" ? found.frames.slice(first) : found.frames,
+      model_id: this.model.model_id,
+      ...(fields.name.value.trim() ? { name: fields.name.value.trim() } : {}),
+      ...(joints.length ? { joints: { free: joints } } : {}),
+      filter: { preset: fields.preset.value, ...filter },
+      ...(rate > 0 ? { motion: { frame_interval_s: 1 / rate } } : {}),
     };
   }
 

@@ -72,7 +72,7 @@ export class FrameView {
     Object.assign(this, { bitmap, shown: estimate });
     if (bitmap) this.size = { width: bitmap.width, height: bitmap.height };
     this.say(note);
-    this.caption.textContent = `frame ${estimate.index}`;
+    this.caption.textContent = estimate.index;
     this.painter.request();
   }
 

@@ -1,5 +1,5 @@
 // Files and folders that a user picked or dropped, sorted into a model, empty sky, and frames.
-const MESHES = ["glb", "obj", "stl", "ply"];
+const MESHES = ["glb", "obj", "stl", "ply"], ROBOTS = ["urdf"];
 const IMAGES = {
   png: "image/png", jpg: "image/jpeg", jpeg: "image/jpeg", tif: "image/tiff", tiff: "image/tiff", fits: "image/fits",
   fit: "image/fits", fts: "image/fits", fz: "image/fits", npy: "application/x-npy",
@@ -7,10 +7,10 @@ const IMAGES = {
 const VIDEOS = {
   ser: "video/x-ser", avi: "video/x-msvideo", mp4: "video/mp4", mkv: "video/x-matroska", mov: "video/quicktime",
 };
-const SKY = /(^|[/_. -])(background|backgrounds|bg|sky|dark|darks|empty)([/_. \d-]|$)/i;
+const SKY_FOLDER = /^(backgrounds?|bg|sky|darks?|empty)[ _.-]*\d*$/i, SKY_FILE = /^(background|bg|sky|dark|empty)[ _.-]*\d/i;
 const order = new Intl.Collator("en", { numeric: true }).compare;
 
-export const ACCEPT_MESH = MESHES.map((name) => `.${name}`).join(",");
+export const ACCEPT_MESH = [...MESHES, ...ROBOTS].map((name) => `.${name}`).join(",");
 
 const pathOf = (file) => file.path || file.webkitRelativePath || file.name;
 const folderOf = (file) => pathOf(file).split("/").slice(0, -1).join("/");
@@ -27,15 +27,24 @@ export function mediaType(file) {
 
 export const isVideo = (file) => suffixOf(file) in VIDEOS;
 
-// {mesh, sky: [], frames: [], ignored}: frames and sky in the order of their numbers.
+const isSky = (file) => SKY_FOLDER.test(folderOf(file).split("/").at(-1)) || SKY_FILE.test(file.name);
+
+// The files of one model: a mesh, or a URDF file and the meshes that it names.
+export function modelFiles(files) {
+  const robot = files.find((file) => ROBOTS.includes(suffixOf(file)));
+  const meshes = files.filter((file) => MESHES.includes(suffixOf(file)));
+  return robot ? [robot, ...meshes] : meshes.slice(0, 1);
+}
+
+// {model: [], sky: [], frames: [], ignored}: frames and sky in the order of their numbers.
 export function sort(files) {
   const sorted = [...files].filter((file) => !file.name.startsWith(".")).sort((a, b) => order(pathOf(a), pathOf(b)));
-  const meshes = sorted.filter((file) => MESHES.includes(suffixOf(file)));
+  const model = modelFiles(sorted);
   const images = sorted.filter((file) => mediaType(file));
-  const sky = images.filter((file) => SKY.test(`${folderOf(file).split("/").slice(-1)}/${file.name}`));
+  const sky = images.filter(isSky);
   const frames = largestFolder(images.filter((file) => !sky.includes(file)));
-  const ignored = sorted.length - Math.min(meshes.length, 1) - sky.length - frames.length;
-  return { mesh: meshes[0] ?? null, sky, frames, ignored };
+  const ignored = sorted.length - model.length - sky.length - frames.length;
+  return { model, sky, frames, ignored };
 }
 
 // A pass is one folder: pictures elsewhere (masks, previews) are not its frames.

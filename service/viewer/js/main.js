@@ -87,6 +87,7 @@ new Shortcuts([
 for (const button of document.querySelectorAll("[data-toggle]")) {
   button.addEventListener("click", () => toggle(button.dataset.toggle));
 }
+$("more").addEventListener("click", () => create.open(watch.session));
 for (const id of ["new", "welcome-new"]) $(id).addEventListener("click", () => create.open());
 $("night").addEventListener("click", redLight);
 $("help-button").addEventListener("click", () => $("help").showModal());

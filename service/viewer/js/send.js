@@ -5,7 +5,7 @@ const BORDER_FRAMES = 10; // enough to learn a border from
 const RETRY_MS = 700;
 
 export class Sending {
-  // plan: {request, sky, border, frames, sessionId?, first?}; `changed(this)` after every step;
+  // plan: {request or session, sky, border, frames}; `changed(this)` after every step;
   // `onProblem(error, file)` resolves to "again", "skip" or "stop"
   constructor(api, plan, { changed, onProblem }) {
     Object.assign(this, { api, plan, changed, onProblem });
@@ -19,7 +19,9 @@ export class Sending {
   // Resolves to the session's id once it is there; the rest goes on, and `finished` resolves at its end.
   async begin() {
     const { api, plan } = this;
-    this.session = await api.send("/v1/sessions", plan.request);
+    this.session = plan.session ? await api.json(`/v1/sessions/${plan.session.session_id}`)
+      : await api.send("/v1/sessions", plan.request);
+    this.index = this.session.frames;
     this.here = `/v1/sessions/${this.session.session_id}`;
     this.finished = this.sendAll();
     return this.session.session_id;
@@ -75,8 +77,6 @@ export class Sending {
     this.done += 1;
     this.changed(this);
   }
-
-  index = 0;
 
   put(method, path, file, key) {
     const headers = { "Content-Type": mediaType(file), ...(key ? { "Idempotency-Key": key } : {}) };
