@@ -41,7 +41,7 @@ ROOMS: dict[str, set[str]] = {
 PACKAGES: dict[str, set[str]] = {
     "service.inference": {"numpy", "scipy"},
     "service.imaging": {"numpy", "scipy", "cv2", "astropy"},
-    "service.attitude": {"numpy", "astropy_iers_data", "erfa"},
+    "service.attitude": {"numpy", "astropy_iers_data", "erfa", "sgp4"},
     "service.exports": {"numpy"},
     "gpu": {"numpy", "scipy", "pyopencl", "moderngl", "trimesh", "fast_simplification"},
     "service.errors": set(),

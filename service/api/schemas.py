@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model, mo
 from pydantic.json_schema import WithJsonSchema
 
 from service.api.rates import Rates
-from service.api.sky import Attitude, Camera
+from service.api.sky import Attitude, Camera, Orbit
 from service.api.wire import Orientation, Wire
 from service.inference.params import SessionConfig
 
@@ -116,6 +116,8 @@ class Estimate(Wire):
     """With `?smoothed=true` only: whether later frames could be taken into account."""
     camera: Camera | None = None
     """Where the camera's orientation is known."""
+    orbit: Orbit | None = None
+    """Where `prior.orbit` was given."""
     particles: int
     ess: float
     log_evidence: float

@@ -41,3 +41,19 @@ class Camera(Wire):
     mirrored: bool
     earth_orientation: EarthOrientation | None
     """Null where the Earth's rotation was not needed."""
+
+
+class Orbit(Wire):
+    """Where the object stands in the sky of the site, by `prior.orbit`."""
+
+    range_km: float
+    azimuth_deg: float
+    """From north through east."""
+    elevation_deg: float
+    """Without refraction."""
+    elements_age_days: float
+    """From the epoch of the elements to the frame."""
+    expected_scale_px: float | None
+    """Pixels per model unit at this range, about which the scale is sought; null where `prior.unit_m` or the pixel
+    scale is not known, or the object is below the horizon."""
+    earth_orientation: EarthOrientation

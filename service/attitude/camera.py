@@ -19,10 +19,11 @@ from service.inference.state import Array
 
 @dataclass(frozen=True)
 class Site:
-    """Geodetic place on the Earth (WGS 84). Its height turns nothing."""
+    """Geodetic place on the Earth (WGS 84). Its height turns nothing: only a range counts it."""
 
     latitude_deg: float
     longitude_deg: float  # east
+    height_m: float = 0.0
 
 
 def direction(longitude_deg: float, latitude_deg: float) -> Array:

@@ -17,7 +17,8 @@ class Domain:
     """Bounds of the uniform prior (the paper's section 2).
 
     The body's diameter spans at least ``min_extent`` of the image's shorter side and at most ``max_extent`` of the
-    longer one, and its centre lies in the image, so that about half of it at least is seen.
+    longer one, and its centre lies in the image, so that about half of it at least is seen. Where the range is known,
+    ``scale_within`` says more than the extents.
     """
 
     width: int
@@ -25,6 +26,7 @@ class Domain:
     radius: float  # of the body, model units
     articulation: Articulation
     prior: PriorParams
+    scale_within: tuple[float, float] | None = None  # px per model unit: known bounds, in the place of the extents
 
     @property
     def n_tangent(self) -> int:
@@ -34,6 +36,8 @@ class Domain:
     @property
     def log_scale_bounds(self) -> tuple[float, float]:
         """Least and greatest log scale (log of px per model unit)."""
+        if self.scale_within is not None:
+            return float(np.log(self.scale_within[0])), float(np.log(self.scale_within[1]))
         side = min(self.width, self.height)
         return (
             float(np.log(self.prior.min_extent * side / (2 * self.radius))),

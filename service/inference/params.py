@@ -101,9 +101,20 @@ class PriorParams:
     """The object spans at least this share of the image."""
     max_extent: float = 1.0
     """The object spans at most this share of the image."""
+    orbit: str | None = None
+    """The object's mean elements, as text: a TLE of two or three lines, or an OMM as JSON, XML or KVN. With the
+    camera's site each estimate tells the range; with `unit_m` and the camera's `pixel_scale_arcsec` too, the scale is
+    known from it."""
+    unit_m: float | None = None
+    """Metres in a unit of the model."""
+    scale_tolerance: float = 0.1
+    """The scale lies within this share of the one that range, unit and pixel scale make."""
 
     def __post_init__(self) -> None:
         _require(0 < self.min_extent < self.max_extent <= 10, "0 < min_extent < max_extent <= 10 is required")
+        _require(self.orbit is None or 0 < len(self.orbit) <= 20_000, "orbit is a TLE or an OMM")
+        _require(self.unit_m is None or 1e-6 <= self.unit_m <= 1e6, "unit_m must be between 1e-6 and 1e6")
+        _require(0.001 <= self.scale_tolerance <= 0.9, "scale_tolerance must be between 0.001 and 0.9")
 
 
 @dataclass(frozen=True)
@@ -162,6 +173,8 @@ class CameraParams:
     """Geodetic; needed for azimuth and elevation, and for an `altaz` mount."""
     site_longitude_deg: float | None = None
     """East of Greenwich."""
+    site_height_m: float = 0.0
+    """Above the ellipsoid (WGS 84); counts for a range only."""
     ser_byte_order: Literal["auto", "little", "big"] = "auto"
     """Of 16-bit SER files: their own flag is wrong in most, so `auto` looks at the pixels."""
     headers: Literal["use", "ignore"] = "use"
@@ -179,6 +192,7 @@ class CameraParams:
         _require(self.up_angle_deg is None or abs(self.up_angle_deg) <= 360, "up_angle_deg must be within 360")
         _require(latitude is None or abs(latitude) <= 90, "site_latitude_deg must be within 90")
         _require(longitude is None or abs(longitude) <= 360, "site_longitude_deg must be within 360")
+        _require(-1000 <= self.site_height_m <= 20_000, "site_height_m must be between -1000 and 20000")
         _require((latitude is None) == (longitude is None), "a site has a latitude and a longitude")
         _require(self.mount == "equatorial" or latitude is not None, "an altaz mount needs the site")
         x, y, width, height = self.roi or (0, 0, 1, 1)
@@ -215,6 +229,10 @@ class SessionConfig:
     motion: MotionParams = field(default_factory=MotionParams)
     camera: CameraParams = field(default_factory=CameraParams)
     joints: JointParams = field(default_factory=JointParams)
+
+    def __post_init__(self) -> None:
+        site = self.camera.site_latitude_deg
+        _require(self.prior.orbit is None or site is not None, "prior.orbit needs the site, camera.site_latitude_deg …")
 
 
 _PAPER: Mapping[str, Mapping[str, Any]] = {

@@ -40,7 +40,7 @@ def mount_of(params: CameraParams) -> Mount:
     """The session's camera as the attitude's arithmetic takes it."""
     site = None
     if params.site_latitude_deg is not None and params.site_longitude_deg is not None:
-        site = Site(params.site_latitude_deg, params.site_longitude_deg)
+        site = Site(params.site_latitude_deg, params.site_longitude_deg, params.site_height_m)
     scale = params.pixel_scale_arcsec
     return Mount(
         kind=params.mount,

@@ -42,10 +42,11 @@ def estimate_document(
     report: PackedFrameReport,
     view: View | None = None,
     models: Sequence[Mapping[str, Any]] | None = None,
+    orbit: Mapping[str, Any] | None = None,
 ) -> bytes:
     """The answer to a frame as JSON bytes; ``view`` is the camera among the stars, where it is known.
 
-    ``models`` are those that the session compares, the one of ``report`` first.
+    ``models`` are those that the session compares, the one of ``report`` first. ``orbit``: where the object stands.
 
     Raises ``SkyposeError`` if a number in it is not finite.
     """
@@ -73,6 +74,8 @@ def estimate_document(
     }
     if models is not None:
         data["models"] = list(models)
+    if orbit is not None:
+        data["orbit"] = dict(orbit)
     _require_finite(data, "estimate")  # orjson would write null
     return orjson.dumps(data)
 

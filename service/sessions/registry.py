@@ -18,6 +18,7 @@ from service.sessions.archive import session_document
 from service.sessions.contenders import Contender
 from service.sessions.frame import format_time
 from service.sessions.library import articulation_of
+from service.sessions.ranging import Ranging
 from service.sessions.session import Rooms, Session
 from service.store import checkpoints, models, sessions
 from service.store.base import NO_QUOTAS, Quotas, SessionRecord, StoredContender
@@ -52,6 +53,7 @@ class Registry:
         Raises ``NotFoundError`` for a model, ``QuotaExceededError``, ``ConfigError`` for the rest.
         """
         config = session_config.effective(sections)
+        await asyncio.to_thread(Ranging, config)  # an orbit that cannot be read is refused now, not with a frame
         warnings: list[str] = []
         keys = [model_key(tenant, model_id) for model_id in model_ids]
         for key in keys:

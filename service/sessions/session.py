@@ -32,6 +32,7 @@ from service.sessions.frame import (
 from service.sessions.hub import Hub
 from service.sessions.inbox import Inbox
 from service.sessions.pointings import Pointings
+from service.sessions.ranging import Ranged, Ranging
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, Retention, SessionRecord
 from service.store.database import Database
@@ -72,6 +73,7 @@ class Session:
         self._config = config
         self._contenders = contenders
         self._pointings = Pointings(config.camera)
+        self._ranging = Ranging(config)
 
     @property
     def frame_pixels(self) -> int:
@@ -108,8 +110,9 @@ class Session:
         frame = replace(frame, time=frame.time or facts.time)
         moment = frame_time(record, frame, self._config.motion.frame_interval_s)
         view = await self._view(frame, facts, moment)
-        contenders, report = await self._track(frame, record.background_key, moment.seconds)
-        return await self._commit(frame, moment, contenders, report, view)
+        ranged = await asyncio.to_thread(self._ranging.at, moment, facts)
+        contenders, report = await self._track(frame, record.background_key, moment.seconds, ranged)
+        return await self._commit(frame, moment, contenders, report, view, ranged)
 
     async def _facts(self, frame: FrameIn) -> FrameFacts:
         """What the frame's own header says, where the session believes it."""
@@ -126,20 +129,26 @@ class Session:
         return await asyncio.to_thread(self._pointings.view, record, frame, facts, moment)
 
     async def _track(
-        self, frame: FrameIn, background: str, time_s: float
+        self, frame: FrameIn, background: str, time_s: float, ranged: Ranged | None
     ) -> tuple[tuple[Contender, ...], PackedFrameReport]:
         """The frame under every model, one job after the other; the report of the most probable."""
         # One measurement for all: evidence under different maps could not be compared.
         guide = self._contenders[leader(self._contenders)].state if len(self._contenders) > 1 else None
         after, reports = [], []
         for contender in self._contenders:
-            report = await self._track_one(contender, frame, background, time_s, guide)
+            report = await self._track_one(contender, frame, background, time_s, guide, ranged)
             after.append(contender.after(report))
             reports.append(report)
         return tuple(after), reports[leader(after)]
 
     async def _track_one(
-        self, contender: Contender, frame: FrameIn, background: str, time_s: float, guide: bytes | None
+        self,
+        contender: Contender,
+        frame: FrameIn,
+        background: str,
+        time_s: float,
+        guide: bytes | None,
+        ranged: Ranged | None,
     ) -> PackedFrameReport:
         job = FrameJob(
             config=self._config,
@@ -154,6 +163,7 @@ class Session:
             media_type=frame.media_type,
             twins=contender.twins,
             size=self._frame_size,
+            scale_px=None if ranged is None else ranged.bounds_px,
         )
         return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob, guide)
 
@@ -164,12 +174,14 @@ class Session:
         contenders: tuple[Contender, ...],
         report: PackedFrameReport,
         view: View | None,
+        ranged: Ranged | None,
     ) -> Answer:
         index, text = self.record.next_index, format_time(moment.utc)
         names = contenders[leader(contenders)].names
         models = ranking(contenders) if len(contenders) > 1 else None
+        orbit = None if ranged is None else ranged.document()
         document = await asyncio.to_thread(
-            estimate_document, public_id(self.record.id), index, text, names, report, view, models
+            estimate_document, public_id(self.record.id), index, text, names, report, view, models, orbit
         )
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(

@@ -89,6 +89,7 @@ class FrameJob:
     twins: tuple[Symmetry, ...] = ()  # symmetries of the model, joints by position in ``articulation``
     guide: Mapping[str, NDArray[np.generic]] | None = None  # memory to measure the frame with; None: the state's own
     size: tuple[int, int] | None = None  # width and height that the frame must have; None: what fits the background
+    scale_px: tuple[float, float] | None = None  # bounds known for this frame, px of the whole frame per model unit
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,11 @@ def in_window(config: SessionConfig) -> SessionConfig:
     return replace(config, camera=replace(camera, psf_sigma_px=camera.psf_sigma_px / camera.binning))
 
 
+def scale_in_window(scale_px: tuple[float, float] | None, camera: CameraParams) -> tuple[float, float] | None:
+    """Bounds of the scale in binned pixels."""
+    return None if scale_px is None else (scale_px[0] / camera.binning, scale_px[1] / camera.binning)
+
+
 def in_full_frame(estimate: Estimate, camera: CameraParams) -> Estimate:
     """An estimate with its places and scales in pixels of the whole frame."""
     if is_whole(camera):

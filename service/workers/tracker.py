@@ -53,7 +53,7 @@ from service.workers.base import (
 from service.workers.cache import Cache
 from service.workers.decode_process import DecodeProcess
 from service.workers.decoding import Decoder, InPlace
-from service.workers.full_frame import camera_window, in_full_frame, in_window
+from service.workers.full_frame import camera_window, in_full_frame, in_window, scale_in_window
 from service.workers.limits import DecodeLimits
 from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
@@ -143,7 +143,8 @@ class Tracker:
         articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
         mesh = self._mesh(job.model, job.file_type, job.blobs)
         height, width = image.image.shape[:2]
-        domain = Domain(width, height, mesh.radius, articulation, job.config.prior)
+        within = scale_in_window(job.scale_px, job.config.camera)
+        domain = Domain(width, height, mesh.radius, articulation, job.config.prior, within)
         twins = self._twins.get(
             f"{job.model}:{articulation}", lambda: held_symmetries(job.twins, job.articulation, articulation)
         )

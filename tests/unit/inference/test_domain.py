@@ -80,3 +80,12 @@ def test_the_prior_lies_within_its_bounds():
     assert len(poses) == 5000
     assert domain().contains(poses).all()
     np.testing.assert_allclose(np.linalg.norm(poses.quaternion, axis=1), 1)
+
+
+def test_known_bounds_of_the_scale_stand_for_the_extents():
+    wide = Domain(200, 100, 2.0, Articulation(("bus",)), PriorParams())
+    known = Domain(200, 100, 2.0, Articulation(("bus",)), PriorParams(), (3.0, 4.0))
+    assert known.log_scale_bounds == pytest.approx(np.log([3.0, 4.0]))
+    drawn = np.exp(sample_prior(np.random.default_rng(1), known, 500).log_scale)
+    assert 3.0 <= drawn.min() < drawn.max() <= 4.0
+    assert known.log_volume < wide.log_volume

@@ -1,0 +1,130 @@
+"""Where a satellite stands in the sky of a site: mean elements (TLE or OMM) through SGP4.
+
+SGP4 answers in TEME (true equator, mean equinox of date); Greenwich mean sidereal time (IAU 1982) takes that to
+Earth-fixed axes, as Vallado et al., *Revisiting Spacetrack Report #3* (AIAA 2006-6753), appendix C, have it. Polar
+motion, ten metres at most, is left out.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import erfa
+import numpy as np
+from sgp4 import omm
+from sgp4.api import SGP4_ERRORS, Satrec
+from sgp4.earth_gravity import wgs72
+from sgp4.io import twoline2rv
+
+from service.attitude.camera import Site
+from service.attitude.earth import EarthOrientation, earth_orientation, zenith_frame
+from service.errors import ConfigError, InputError
+from service.inference.state import Array
+
+_JD_EPOCH = 2_440_587.5  # 1970-01-01
+_DAY_S = 86_400.0
+_WGS84 = 1  # ERFA's number of the ellipsoid
+_OMM_DEFAULTS = {
+    "CLASSIFICATION_TYPE": "U",
+    "OBJECT_ID": "",
+    "EPHEMERIS_TYPE": 0,
+    "ELEMENT_SET_NO": 0,
+    "REV_AT_EPOCH": 0,
+    "NORAD_CAT_ID": 0,
+    "BSTAR": 0.0,
+    "MEAN_MOTION_DOT": 0.0,
+    "MEAN_MOTION_DDOT": 0.0,
+}
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The satellite seen from a site at a moment."""
+
+    range_km: float
+    azimuth_deg: float  # from north through east
+    elevation_deg: float  # without refraction
+    elements_age_days: float  # from the epoch of the elements to the moment; negative before it
+    earth: EarthOrientation
+
+
+class Orbit:
+    """Mean elements of one satellite."""
+
+    def __init__(self, text: str) -> None:
+        """``text``: a TLE of two lines, or three with a name; an OMM as JSON, XML or KVN. Raises ``ConfigError``."""
+        try:
+            self._satellite = _read(text.strip())
+        except (KeyError, ValueError, TypeError, IndexError, AttributeError, SyntaxError) as error:
+            detail = f"{type(error).__name__}: {error}"
+            raise ConfigError(f"neither a TLE nor an OMM could be read: {detail}", field="prior.orbit") from error
+        if self._satellite.error:
+            raise ConfigError(_reason(self._satellite.error), field="prior.orbit")
+        epoch_days = self._satellite.jdsatepoch - _JD_EPOCH + self._satellite.jdsatepochF
+        self.epoch = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=epoch_days)
+
+    def seen_from(self, site: Site, moment: datetime) -> Sighting:
+        """The satellite at an aware ``moment``. Raises ``InputError`` where SGP4 has no answer."""
+        unix_days = (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() / _DAY_S
+        problem, teme_km, _ = self._satellite.sgp4(_JD_EPOCH, unix_days)
+        if problem:
+            raise InputError(f"the orbit has no place at this time: {_reason(problem)}", field="query:time")
+        earth = earth_orientation(moment)
+        offset = _greenwich(unix_days + earth.ut1_utc_s / _DAY_S) @ np.array(teme_km) - _site_km(site)
+        east, north, up = zenith_frame(site.latitude_deg, site.longitude_deg).T @ offset
+        distance = float(np.linalg.norm(offset))
+        return Sighting(
+            range_km=distance,
+            azimuth_deg=float(np.rad2deg(np.arctan2(east, north)) % 360),
+            elevation_deg=float(np.rad2deg(np.arcsin(up / distance))),
+            elements_age_days=(moment - self.epoch).total_seconds() / _DAY_S,
+            earth=earth,
+        )
+
+
+def _reason(problem: int) -> str:
+    return str(SGP4_ERRORS.get(problem, f"SGP4 error {problem}"))
+
+
+def _greenwich(ut1_days: float) -> Array:
+    """(3, 3) TEME to Earth-fixed axes; ``ut1_days`` since 1970."""
+    angle = erfa.gmst82(_JD_EPOCH, ut1_days)
+    return np.asarray(erfa.rz(angle, np.eye(3)), dtype=np.float64)
+
+
+def _site_km(site: Site) -> Array:
+    place = erfa.gd2gc(_WGS84, np.deg2rad(site.longitude_deg), np.deg2rad(site.latitude_deg), site.height_m)
+    return np.asarray(place, dtype=np.float64) / 1e3
+
+
+def _read(text: str) -> Any:
+    if text.startswith(("{", "[")):
+        fields = json.loads(text)
+        return _from_omm(fields[0] if isinstance(fields, list) else fields)
+    if text.startswith("<"):
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:
+            raise ValueError("document types and entities are not read")
+        return _from_omm(next(omm.parse_xml(io.StringIO(text)), {}))
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if len(lines) in (2, 3) and lines[-2].startswith("1 ") and lines[-1].startswith("2 "):
+        twoline2rv(lines[-2], lines[-1], wgs72)  # it checks the columns; the faster reader takes anything
+        return Satrec.twoline2rv(lines[-2], lines[-1])
+    pairs = (line.partition("=") for line in lines if "=" in line)
+    return _from_omm({key.strip(): value.split("[")[0].strip() for key, _, value in pairs})
+
+
+def _from_omm(fields: Mapping[str, Any]) -> Any:
+    theory = fields.get("MEAN_ELEMENT_THEORY") or "SGP4"
+    if theory not in ("SGP4", "SGP"):
+        raise ValueError(f"elements of the theory {theory!r} are not SGP4's")
+    given = {key: value for key, value in fields.items() if value not in (None, "")}
+    # CCSDS 502.0 allows any number of decimals, and a Z; the reader wants one to six, and none.
+    whole, _, decimals = str(given["EPOCH"]).removesuffix("Z").partition(".")
+    satellite = Satrec()
+    omm.initialize(satellite, {**_OMM_DEFAULTS, **given, "EPOCH": f"{whole}.{(decimals or '0')[:6]}"})
+    return satellite

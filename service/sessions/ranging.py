@@ -1,0 +1,72 @@
+"""A session's range to its object, and the scale that follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from service.attitude.orbit import Orbit, Sighting
+from service.errors import InputError
+from service.imaging.facts import FrameFacts
+from service.inference.params import SessionConfig
+from service.sessions.absolute import mount_of
+from service.sessions.frame import FrameTime
+
+_ARCSECOND = np.pi / 648_000
+_ARCSECONDS = 3600.0
+_KM = 1000.0
+
+
+@dataclass(frozen=True)
+class Ranged:
+    """What the orbit says of one frame."""
+
+    sighting: Sighting
+    scale_px: float | None  # px per model unit; None: unit or pixel scale unknown, or below the horizon
+    bounds_px: tuple[float, float] | None
+
+    def document(self) -> dict[str, Any]:
+        """``orbit`` of an estimate as the API answers it."""
+        seen, earth = self.sighting, self.sighting.earth
+        return {
+            "range_km": seen.range_km,
+            "azimuth_deg": seen.azimuth_deg,
+            "elevation_deg": seen.elevation_deg,
+            "elements_age_days": seen.elements_age_days,
+            "expected_scale_px": self.scale_px,
+            "earth_orientation": {
+                "known": earth.known,
+                "age_days": earth.age_days,
+                "ut1_utc_s": earth.ut1_utc_s,
+            },
+        }
+
+
+class Ranging:
+    """The orbit of a session's object, if it was given. Raises ``ConfigError`` for one that cannot be read."""
+
+    def __init__(self, config: SessionConfig) -> None:
+        self._config = config
+        self._site = mount_of(config.camera).site
+        self._orbit = None if config.prior.orbit is None else Orbit(config.prior.orbit)
+
+    def at(self, moment: FrameTime, facts: FrameFacts) -> Ranged | None:
+        """Range and scale at a frame; None without an orbit. Raises ``InputError`` where its time is not known.
+
+        A pixel scale that the frame's own header tells goes before the session's.
+        """
+        if self._orbit is None or self._site is None:
+            return None
+        if moment.given is None:
+            raise InputError("an orbit needs the frame's time", field="query:time")
+        sighting = self._orbit.seen_from(self._site, moment.utc)
+        unit_m, arcsec = self._config.prior.unit_m, self._config.camera.pixel_scale_arcsec
+        if facts.pixel_scale_deg is not None:
+            arcsec = facts.pixel_scale_deg * _ARCSECONDS
+        if unit_m is None or arcsec is None or sighting.elevation_deg <= 0:
+            return Ranged(sighting, None, None)
+        scale = unit_m / (sighting.range_km * _KM * arcsec * _ARCSECOND)
+        share = self._config.prior.scale_tolerance
+        return Ranged(sighting, scale, (scale * (1 - share), scale * (1 + share)))

@@ -1,0 +1,70 @@
+"""An orbit with the session: range and age of the data in every estimate, and the scale that the tracker is held to."""
+
+import numpy as np
+import pytest
+from api_client import running
+from fake_worker import FakeWorker
+
+from service.api.schemas import Estimate
+
+pytestmark = pytest.mark.anyio
+TLE = (
+    "1 25544U 98067A   19343.69339541  .00001764  00000-0  38792-4 0  9991\n"
+    "2 25544  51.6439 211.2001 0007417  17.6667  85.6398 15.50103472202482"
+)
+SITE = {"site_latitude_deg": 48.23, "site_longitude_deg": 16.34, "site_height_m": 250.0}
+CAMERA = {**SITE, "pixel_scale_arcsec": 0.5}
+HIGH, LOW = "2019-12-11T15:05:00Z", "2019-12-11T15:50:00Z"
+
+
+class Recorder(FakeWorker):
+    """Keeps what the last frame was asked with."""
+
+    jobs: list = []  # noqa: RUF012 -- one worker at a time
+
+    def track(self, job):
+        self.jobs.append(job)
+        return super().track(job)
+
+
+@pytest.fixture
+async def api(make_app, anyio_backend):
+    async with running(make_app(Recorder)) as client:
+        yield client
+
+
+async def test_range_and_expected_scale(api):
+    prior = {"orbit": TLE, "unit_m": 2.0, "scale_tolerance": 0.05}
+    session_id = await api.ready_session(camera=CAMERA, prior=prior)
+    told = Estimate.model_validate((await api.post(session_id, 0, time=HIGH)).json())
+    orbit = told.orbit
+    assert orbit is not None and orbit.elevation_deg > 60 and 400 < orbit.range_km < 500
+    assert orbit.elements_age_days == pytest.approx(1.935, abs=0.01)
+    assert orbit.earth_orientation.known
+    expected = 2.0 / (orbit.range_km * 1e3 * np.deg2rad(0.5 / 3600))
+    assert orbit.expected_scale_px == pytest.approx(expected)
+    assert Recorder.jobs[-1].scale_px == pytest.approx((0.95 * expected, 1.05 * expected))
+    below = Estimate.model_validate((await api.post(session_id, 1, time=LOW)).json())
+    assert below.orbit.elevation_deg < 0 and below.orbit.expected_scale_px is None
+    assert Recorder.jobs[-1].scale_px is None
+
+
+async def test_without_a_unit_there_is_a_range_and_no_scale(api):
+    session_id = await api.ready_session(camera=CAMERA, prior={"orbit": TLE})
+    told = (await api.post(session_id, 0, time=HIGH)).json()["orbit"]
+    assert told["range_km"] > 0 and told["expected_scale_px"] is None
+    timeless = await api.post(session_id, 1)
+    assert (timeless.status_code, timeless.json()["field"]) == (422, "query:time")
+    plain = await api.ready_session()
+    assert "orbit" not in (await api.post(plain, 0)).json()
+
+
+async def test_what_is_refused_when_the_session_is_begun(api):
+    model_id = (await api.model()).json()["model_id"]
+    for sections in (
+        {"prior": {"orbit": "hello"}, "camera": SITE},
+        {"prior": {"orbit": TLE}},
+        {"prior": {"unit_m": 0.0}},
+    ):
+        answer = await api.http.post("/v1/sessions", json={"model_id": model_id, **sections})
+        assert (answer.status_code, answer.json()["type"]) == (422, "urn:skypose:problem:invalid-configuration")
