@@ -5,6 +5,7 @@
     SkyposeError                          500  something of ours broke
     ├── InputError                        422  what was sent cannot be used
     │   ├── UnsupportedMediaTypeError     415  no decoder for this media type
+    │   ├── SlowBodyError                 408  the rest of the body did not come
     │   ├── TooLargeError                 413  past a limit (bytes, pixels, faces, ...)
     │   ├── ImageError                    422  broken, truncated or empty image
     │   ├── ImageMismatchError            422  other size, channels or depth than the background
@@ -81,6 +82,12 @@ class UnsupportedMediaTypeError(InputError):
     """No decoder for this media type; ``supported`` lists those there are."""
 
     slug, title, status = "unsupported-media-type", "Unsupported media type", 415
+
+
+class SlowBodyError(InputError):
+    """The rest of the body did not come; ``setting`` says how long was waited for the next piece."""
+
+    slug, title, status = "slow-body", "Body too slow", 408
 
 
 class TooLargeError(InputError):

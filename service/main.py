@@ -26,6 +26,7 @@ from service.access.tickets import Tickets
 from service.api import access, checkpoint, estimates, frames, health, models, problems, sessions, stream
 from service.api.bodies import BodyLimits
 from service.api.description import DescribedApi
+from service.api.flow import Flow
 from service.api.guard import Guard, page_policies
 from service.api.observe import Observe
 from service.api.services import Services
@@ -79,7 +80,8 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     for room in (models, sessions, frames, estimates, checkpoint, stream, access, health):
         app.include_router(room.router)
     app.add_middleware(BodyLimits, settings=settings)
-    app.add_middleware(Guard, pages=page_policies(VIEWER, _docs_html()), max_calls=settings.max_calls)
+    app.add_middleware(Flow, settings=settings)
+    app.add_middleware(Guard, pages=page_policies(VIEWER, _docs_html()))
     _allow_origins(app, settings.allowed_origins.split())
     app.add_middleware(Observe)
     _serve_viewer(app)

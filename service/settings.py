@@ -103,7 +103,7 @@ class Settings(BaseSettings):
     stream_max_lag_events: Positive = 1000
     """A live watcher further behind than this is told ``resync-required`` and goes on with the newest."""
     stream_send_timeout_s: PositiveSeconds = 30.0
-    """A watcher that takes nothing for so long is let go."""
+    """A client that takes nothing of an answer or stream for so long is let go."""
 
     reader_threads: Positive = 4
     """Threads that read the database."""
@@ -148,7 +148,11 @@ class Settings(BaseSettings):
     quota_streams: Annotated[int, Field(ge=0)] = 256
     """Watchers of one tenant at once; one more is answered 429. 0: any number."""
     max_calls: Positive = 1024
-    """Calls under way at once, streams apart; one more is answered 503."""
+    """Calls under way at once, streams and heavy reads apart; one more is answered 503."""
+    max_heavy_reads: Positive = 32
+    """Pictures, meshes, particles, exports and checkpoints being read at once; one more is answered 503."""
+    body_timeout_s: PositiveSeconds = 30.0
+    """A client that sends nothing for so long in the middle of a body is answered 408."""
 
     audit_days: Positive = 90
     """Entries of the audit log are kept so many days."""

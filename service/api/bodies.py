@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 from typing import Any, TypeVar
 
@@ -21,6 +22,7 @@ from service.settings import MEBIBYTE, Settings
 M = TypeVar("M", bound=BaseModel)
 HASH_IN_LOOP_BYTES = 1 << 16
 DRAIN_FACTOR = 4
+DRAIN_S = 10.0
 
 
 class BodyLimits:
@@ -95,11 +97,13 @@ def _too_large(setting: str, limit: int) -> TooLargeError:
 
 async def _drain(receive: Receive, most: int) -> None:
     """Read and forget the rest of a body, so that a client that is still sending hears the refusal."""
-    while most > 0:
-        message = await receive()
-        most -= len(message.get("body", b""))
-        if message["type"] != "http.request" or not message.get("more_body"):
-            return
+    with contextlib.suppress(TimeoutError):  # it is answered all the same, and then cut off
+        async with asyncio.timeout(DRAIN_S):
+            while most > 0:
+                message = await receive()
+                most -= len(message.get("body", b""))
+                if message["type"] != "http.request" or not message.get("more_body"):
+                    return
 
 
 async def read_body(request: Request) -> tuple[bytes, str]:

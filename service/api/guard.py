@@ -1,4 +1,4 @@
-"""What holds for every call: security headers, an entry in the audit log where it belongs there, room for the call."""
+"""What holds for every answer: security headers, and an entry in the audit log where it belongs there."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.access.audit import Entry
 from service.access.principal import Principal
 from service.api.auth import PRINCIPAL
-from service.api.problems import problem_response
 from service.api.services import Services, services_of
-from service.errors import BusyError
 
 _INLINE_SCRIPT = re.compile(r"<script(?![^>]*\ssrc=)[^>]*>(.*?)</script>", re.S)
 _API_POLICY = "default-src 'none'; frame-ancestors 'none'"
@@ -51,14 +49,12 @@ def page_policy(html: str, *, style: str = "'self'") -> str:
 class Guard:
     """ASGI middleware, the outermost but for the log. ``pages``: path -> Content-Security-Policy."""
 
-    def __init__(self, app: ASGIApp, pages: dict[str, str], max_calls: int) -> None:
+    def __init__(self, app: ASGIApp, pages: dict[str, str]) -> None:
         self._app = app
         self._pages = pages
-        self._max_calls = max_calls
-        self._calls = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on, with the headers on the answer; 503 where too many calls are under way."""
+        """Pass on, with the headers on the answer."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -72,16 +68,9 @@ class Guard:
                 _mark(MutableHeaders(scope=message), policy, private=scope["path"].startswith("/v1/"))
             await send(message)
 
-        streams = scope["path"].endswith("/events")  # which has a limit of its own
-        if self._calls >= self._max_calls and not streams:
-            error = BusyError("too many calls are under way", limit=self._max_calls, setting="SKYPOSE_MAX_CALLS")
-            await problem_response(error)(scope, receive, marked)
-            return
-        self._calls += not streams
         try:
             await self._app(scope, receive, marked)
         finally:
-            self._calls -= not streams
             _audit(services_of(Request(scope)), scope, status)
 
 

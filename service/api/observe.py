@@ -13,6 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.api.services import services_of
 
 log = structlog.get_logger(__name__)
+_METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH")
 _QUIET = ("/healthz", "/readyz", "/metrics", "/static")
 
 
@@ -46,7 +47,8 @@ class Observe:
     def _note(self, scope: Scope, status: int, seconds: float) -> None:
         path = getattr(scope.get("route"), "path", "(none)")
         metrics = services_of(Request(scope)).metrics
-        metrics.request_seconds.labels(scope["method"], path, str(status)).observe(seconds)
+        method = scope["method"] if scope["method"] in _METHODS else "other"  # a client may invent any
+        metrics.request_seconds.labels(method, path, str(status)).observe(seconds)
         if not scope["path"].startswith(_QUIET):
             log.info("call", method=scope["method"], path=scope["path"], status=status, ms=round(seconds * 1e3, 1))
 

@@ -42,4 +42,5 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
         "description": "Refused, nothing changed",
         "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
     }
-    return dict.fromkeys(sorted({401, 403, 429, 503, *statuses}), entry)
+    with_body = {408} if 413 in statuses else set()
+    return dict.fromkeys(sorted({401, 403, 429, 503, *with_body, *statuses}), entry)

@@ -2,8 +2,9 @@
 
 import asyncio
 
+import httpx
 import pytest
-from api_client import PNG, Api, image, running
+from api_client import PNG, Api, image, running, served
 from callers import guarded
 from fake_worker import CUBE, SlowWorker
 
@@ -74,3 +75,35 @@ async def test_calls_under_way_are_bounded(make_app):
         for answer in refused:
             limit_named(answer, "SKYPOSE_MAX_CALLS", "busy", 503)
         assert (await Api(api.http).post(session_id, 99)).status_code == 200
+
+
+async def test_slow_sender_and_slow_reader_are_let_go(make_app):
+    """Neither holds a place for good: the first is answered 408, the second cut off in the middle of a large answer."""
+    app = make_app(body_timeout_s=0.1, stream_send_timeout_s=0.2, max_heavy_reads=1)
+    async with served(app) as address, httpx.AsyncClient(base_url=f"http://{address}") as http:
+        api = Api(http, app)
+        session_id = await api.ready_session()
+        await api.post(session_id, 1)
+        head = f"POST /v1/sessions/{session_id}/frames HTTP/1.1\r\nHost: {address}\r\nContent-Type: image/png\r\n"
+        reader, writer = await asyncio.open_connection(*address.split(":"))
+        writer.write(f"{head}Content-Length: 1000\r\n\r\nabc".encode())
+        assert b"408" in await reader.readline()
+        await reader.readuntil(b"urn:skypose:problem:slow-body")
+        writer.close()
+        app.state.services.archive.picture = large_picture
+        picture = f"/v1/sessions/{session_id}/estimates/0/frame.png"
+        reader, writer = await asyncio.open_connection(*address.split(":"), limit=1024)
+        writer.write(f"GET {picture} HTTP/1.1\r\nHost: {address}\r\n\r\n".encode())
+        await reader.readline()
+        limit_named(await http.get(picture), "SKYPOSE_MAX_HEAVY_READS", "busy", 503)
+        while (await http.get(picture)).status_code == 503:
+            pass
+        assert len(await reader.read()) < LARGE
+        writer.close()
+
+
+LARGE = 1 << 26
+
+
+async def large_picture(*_, **__) -> bytes:
+    return bytes(LARGE)
