@@ -54,7 +54,7 @@ def oidc(source: Source | None = None) -> Oidc:
     return Oidc(PROVIDER, KeySet(source or Source(), 3600), 5.0)
 
 
-def token(key=EC_KEY, kid: str | None = "ec", algorithm: str = "ES256", ends_s: float = 60, **changes: object) -> str:
+def token(key=EC_KEY, kid: str | None = "ec", algorithm: str = "ES256", ends_s: float = 86_400, **changes: object) -> str:
     claims = {**CLAIMS, "exp": int(time.time() + ends_s), **changes}
     claims = {name: value for name, value in claims.items() if value is not None}
     return jwt.encode(claims, key, algorithm, headers={} if kid is None else {"kid": kid})
@@ -78,10 +78,10 @@ async def test_good_token(made):
         token(aud=None),
         token(sub=None),
         token(exp=None),
-        token(nbf=int(time.time()) + 600),
+        token(nbf=int(time.time()) + 86_000),
         token(SHARED, "shared", "HS256"),
         token(RSA_KEY, "ec", "RS256"),
-        jwt.encode({**CLAIMS, "exp": int(time.time() + 60)}, None, "none", headers={"kid": "ec"}),
+        jwt.encode({**CLAIMS, "exp": int(time.time() + 86_400)}, None, "none", headers={"kid": "ec"}),
         token()[:-4] + "AAAA",
         "a.b.c",
         "",
