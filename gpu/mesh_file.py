@@ -104,11 +104,16 @@ def _nodes(scene: trimesh.Scene) -> list[tuple[str, NDArray[np.float64], NDArray
     """Name, vertices and faces per node; the primitives of a glTF node, which trimesh makes nodes of, together."""
     found: dict[str, list[tuple[NDArray[np.float64], NDArray[np.int64]]]] = {}
     for node in scene.graph.nodes_geometry:
-        matrix, geometry_name = scene.graph[node]
+        try:
+            matrix, geometry_name = scene.graph[node]
+        except ValueError as error:
+            raise MeshError(f"node {node!r}: {error}") from error
         geometry = scene.geometry[geometry_name]
         if not isinstance(geometry, trimesh.Trimesh):
             continue  # points and lines have no silhouette
         vertices = np.asarray(geometry.vertices, dtype=np.float64)
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise MeshError(f"node {node!r}: its vertices do not have three coordinates")
         with np.errstate(all="ignore"):  # what is not finite is refused below, by name
             moved = vertices @ matrix[:3, :3].T + matrix[:3, 3]
         faces = np.asarray(geometry.faces, dtype=np.int64).reshape(-1, 3)

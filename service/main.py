@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from service.access.keys import Keys
 from service.access.limits import Limits
 from service.access.oidc import open_oidc
 from service.access.tickets import Tickets
-from service.api import access, checkpoint, estimates, frames, health, models, problems, sessions, stream
+from service.api import access, checkpoint, estimates, frames, health, models, problems, schemas, sessions, stream
 from service.api.bodies import BodyLimits
 from service.api.description import DescribedApi
 from service.api.flow import Flow
@@ -113,7 +113,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         registry=registry,
         library=library,
         archive=Archive(database, engine),
-        checkpoints=Checkpoints(database, registry, library),
+        checkpoints=Checkpoints(database, registry, library, engine, _check_estimate),
         batches=Batches(registry, engine, inspector),
         status=Status(database, engine),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),
@@ -197,6 +197,10 @@ class PageFiles(StaticFiles):
         response = super().file_response(*args, **kwargs)
         response.headers["Cache-Control"] = "no-cache"
         return response
+
+
+def _check_estimate(document: Mapping[str, Any]) -> None:
+    schemas.Estimate.model_validate(document, strict=True)
 
 
 def _serve_viewer(app: FastAPI) -> None:

@@ -5,6 +5,7 @@ import hashlib
 import json
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -27,9 +28,13 @@ from service.workers.base import (
     ModelJob,
     ModelReport,
     OverlayJob,
+    RestoreJob,
+    RestoreReport,
     SmoothJob,
     SmoothReport,
 )
+from service.workers.codec import decode as unpack
+from service.workers.restoring import check_state
 from service.workers.smoothing import smooth_pass
 from service.workers.splitting import SplitJob
 
@@ -104,6 +109,15 @@ class FakeWorker:
         box = trimesh.creation.box((1.0, 1.0, 1.0))
         parts = tuple(Part(name, box.vertices, box.faces.astype(np.int32)) for name in ("body", "wing"))
         return mesh_glb(Mesh(parts, (1.0, 2.0, 3.0), (1.0, 1.0, 1.0), 0.9, True))
+
+    def restore(self, job: RestoreJob) -> RestoreReport:
+        known = {"frames": 0} if job.background is None else json.loads(job.background)
+        report = RestoreReport(known["frames"], *((1, 8) if job.background else ()))
+        if job.state is None:
+            return report
+        state = unpack(FilterState, job.state)
+        check_state(state, job.n_joints, 1)
+        return replace(report, frame_index=state.frame_index, time_s=state.time_s, status=state.status)
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
         return smooth_pass(job)

@@ -7,6 +7,8 @@ from it once and caches.
 from __future__ import annotations
 
 import io
+import math
+import zipfile
 from dataclasses import dataclass
 
 import cv2
@@ -50,12 +52,48 @@ class Background:
 
     @staticmethod
     def from_bytes(blob: bytes) -> Background:
-        """Read a blob made by ``to_bytes``."""
+        """Read a blob made by ``to_bytes``. Raises ``ValueError`` for any other: checkpoints bring blobs too."""
+        _require_stored(blob)
         with np.load(io.BytesIO(blob), allow_pickle=False) as data:
+            if set(data) != {"frames", "known", "counts", "meta"}:
+                raise ValueError("a background's arrays are others")
             version, n_frames, bits = (int(v) for v in data["meta"])
             if version != 1:
                 raise ValueError(f"background blob of version {version}, this release reads version 1")
             return Background(data["frames"], data["known"], data["counts"], n_frames, bits)
+
+    def require(self, feature: str, gradient_sigma_px: float) -> None:
+        """Raises ``ValueError`` unless its arrays fit each other and the feature's histogram."""
+        frames, known, counts = self.frames, self.known, self.counts
+        if frames.ndim != 4 or frames.dtype != {8: np.uint8, 16: np.uint16}.get(self.bits) or 0 in frames.shape:
+            raise ValueError(f"background frames are {frames.dtype} {frames.shape} of {self.bits} bits")
+        if frames.shape[3] not in (1, 3) or len(frames) > KEPT_FRAMES or len(frames) > self.n_frames:
+            raise ValueError(f"background of {len(frames)} frames with {frames.shape[3]} channels")
+        if len(frames) > 1 and frames.nbytes > KEPT_BYTES:
+            raise ValueError("background of too many bytes")
+        if known.shape != frames.shape[1:3] or known.dtype != np.bool_ or not known.any():
+            raise ValueError("the background's known pixels do not fit its frames")
+        spec = feature_spec(feature, frames.shape[3], self.bits, gradient_sigma_px)
+        if counts.shape != (spec.n_bins,) or counts.dtype != np.float64:
+            raise ValueError(f"the background's histogram is {counts.dtype} {counts.shape}, not of {spec.n_bins} bins")
+        if not ((counts >= 0) & (counts <= 1e15)).all():
+            raise ValueError("the background's histogram has no counts")
+
+
+def _require_stored(blob: bytes) -> None:
+    """Nothing in the archive is packed, and each array is as long as its header says: no bomb, no huge claim."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(blob)) as archive:
+            for entry in archive.infolist():
+                if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > len(blob):
+                    raise ValueError("a background's arrays are packed")
+                with archive.open(entry) as stream:
+                    np.lib.format.read_magic(stream)
+                    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+                    if math.prod(shape) * dtype.itemsize > entry.file_size or dtype.hasobject:
+                        raise ValueError("a background's array is cut short")
+    except (zipfile.BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError) as error:
+        raise ValueError(f"no background: {error}") from error
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,10 @@ def decode_frames(
     header = _checked_header(body, media_type, limits)
     if header.frames == 1:
         return (_decode(body, header),)
-    found, images = cv2.imdecodemulti(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
+    try:
+        found, images = cv2.imdecodemulti(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise broken(f"the frames cannot be decoded: {error}") from error
     if not found or len(images) != header.frames:
         raise broken(f"only {len(images)} of {header.frames} frames can be decoded")
     return tuple(_frame(image, header) for image in images)

@@ -32,10 +32,15 @@ class Region:
     background: Histogram
 
 
+def region_levels(channels: int) -> int:
+    """Levels per axis of the histograms of an image of 1 or 3 channels."""
+    return _COLOUR_LEVELS if channels == 3 else _GREY_LEVELS
+
+
 def region_bins(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.intp], int]:
     """(H, W) coarse bin per pixel and the number of levels per axis."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTH_PX)
-    levels = _COLOUR_LEVELS if image.ndim == 3 else _GREY_LEVELS
+    levels = region_levels(image.shape[2] if image.ndim == 3 else 1)
     level = np.clip((smooth * (levels / 2.0**bits)).astype(np.intp), 0, levels - 1)
     if image.ndim == 2:
         return level, levels

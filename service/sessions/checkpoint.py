@@ -8,9 +8,9 @@ model is prepared anew.
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import re
 from dataclasses import dataclass, fields
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,17 @@ import orjson
 from numpy.typing import NDArray
 
 from service.errors import CheckpointError, InputError
-from service.inference.state import STATUSES, FilterState
 from service.sessions import config as session_config
 from service.sessions.archive import session_document
+from service.sessions.checkpoint_check import (
+    EstimateCheck,
+    History,
+    check_estimates,
+    check_history,
+    read_header,
+    read_history,
+    require_restored,
+)
 from service.sessions.contenders import require_one_model
 from service.sessions.document import JointNames
 from service.sessions.library import Library, Upload, articulation_of, content_id
@@ -30,7 +38,9 @@ from service.store.base import ModelRecord, SessionRecord
 from service.store.checkpoints import StoredSession
 from service.store.database import Database
 from service.store.scope import SessionKey, model_key, public_id, session_key
+from service.workers.base import RestoreJob
 from service.workers.codec import decode, encode
+from service.workers.engine import Engine
 
 SESSION_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _NOT_CARRIED = ("id", "epoch", "number", "model_ids", "tenant", "model_id")
@@ -52,8 +62,17 @@ class Checkpoint:
 class Checkpoints:
     """Writes and reads them."""
 
-    def __init__(self, database: Database, registry: Registry, library: Library) -> None:
+    def __init__(
+        self,
+        database: Database,
+        registry: Registry,
+        library: Library,
+        engine: Engine,
+        check_estimate: EstimateCheck,
+    ) -> None:
         self._database = database
+        self._engine = engine
+        self._check_estimate = check_estimate
         self._registry = registry
         self._library = library
 
@@ -75,7 +94,8 @@ class Checkpoints:
         upload = await asyncio.to_thread(_upload, packed)
         model = await self._library.prepare(tenant, model_key(tenant, content_id(upload)), upload)
         key = session_key(tenant, session_id)
-        given = await asyncio.to_thread(unpack, packed, key, model)
+        given, job = await asyncio.to_thread(unpack, packed, key, model, self._check_estimate)
+        require_restored(given.record, await self._engine.restore(job))
         new = await self._registry.take_in(given)
         return session_document(given.record), new
 
@@ -102,15 +122,17 @@ def pack(stored: StoredSession) -> bytes:
     )
 
 
-def unpack(packed: Checkpoint, key: SessionKey, model: ModelRecord) -> StoredSession:
-    """A checkpoint as a session to store, under this key. Raises ``CheckpointError`` for what does not fit."""
+def unpack(
+    packed: Checkpoint, key: SessionKey, model: ModelRecord, check_estimate: EstimateCheck
+) -> tuple[StoredSession, RestoreJob]:
+    """A checkpoint as a session to store, under this key, and the job that checks its background and particles.
+
+    Raises ``CheckpointError`` for what does not fit.
+    """
     try:
-        session = orjson.loads(packed.session.tobytes())
-        history = orjson.loads(packed.history.tobytes())
-        carried = {f.name for f in fields(SessionRecord)} - set(_NOT_CARRIED)
-        given = {name: value for name, value in session.items() if name != "model_id"}  # which older releases wrote
-        if given.keys() - carried:  # a crafted one could otherwise name rows of others
-            raise ValueError(f"unknown fields {sorted(given.keys() - carried)}")
+        given = read_header(packed.session.tobytes())
+        given["config"] = session_config.document(session_config.parse(orjson.dumps(given["config"])))  # every section
+        history = read_history(packed.history.tobytes())
         record = SessionRecord(
             id=key,
             tenant=model.tenant,
@@ -127,54 +149,33 @@ def unpack(packed: Checkpoint, key: SessionKey, model: ModelRecord) -> StoredSes
             model_file=packed.model_file.tobytes(),
             background=packed.background.tobytes() or None,
             state=packed.state.tobytes() or None,
-            backgrounds=history["backgrounds"],
-            frames=history["frames"],
+            backgrounds=[dict(row) for row in history["backgrounds"]],
+            frames=[dict(row) for row in history["frames"]],
             estimates=estimates,
-            events=history["events"],
+            events=[dict(row) for row in history["events"]],
         )
-        _check(stored)
+        return stored, _checked(stored, history, check_estimate)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise CheckpointError(f"the content does not fit: {error}") from error
-    return stored
+        raise CheckpointError(f"the content does not fit: {error}", field="body") from error
 
 
-def _check(stored: StoredSession) -> None:
+def _checked(stored: StoredSession, history: History, check_estimate: EstimateCheck) -> RestoreJob:
     record = stored.record
     config = session_config.parse(orjson.dumps(record.config))
     articulation = articulation_of(stored.model)
     session_config.check_joints(config, articulation)
-    indexes = list(range(record.next_index))
-    for rows in (stored.frames, stored.estimates, stored.events):
-        if [row["idx"] for row in rows] != indexes:
-            raise ValueError("the history has gaps")
-    if record.next_seq != record.next_index + 1:
-        raise ValueError("the event log has gaps")
-    if record.background_key != (None if stored.background is None else hashlib.sha256(stored.background).hexdigest()):
+    names = JointNames.of(articulation, config)
+    check_history(record, history)
+    check_estimates(history, names, check_estimate)
+    if record.background_key != (None if stored.background is None else sha256(stored.background).hexdigest()):
         raise ValueError("the background is missing, or another one")
-    if stored.state is not None:
-        _check_state(decode(FilterState, stored.state), len(JointNames.of(articulation, config).free))
-    elif record.next_index:
-        raise ValueError("the particles are missing")
-
-
-def _check_state(state: FilterState, n_joints: int) -> None:
-    poses, n = state.poses, len(state.log_weights)
-    shapes = {
-        "quaternion": (poses.quaternion, (n, 4)),
-        "position": (poses.position, (n, 2)),
-        "log_scale": (poses.log_scale, (n,)),
-        "joints": (poses.joints, (n, n_joints)),
-        "log_weights": (state.log_weights, (n,)),
-        "rates": (state.rates, (n, 6 + n_joints)),
-    }
-    for name, (array, shape) in shapes.items():
-        if array.shape != shape or array.dtype != np.float64 or n < 1:
-            raise ValueError(f"{name} is {array.dtype} {array.shape}, not float64 {shape}")
-        finite = np.isfinite(array) | (np.isneginf(array) if name == "log_weights" else False)
-        if not finite.all():
-            raise ValueError(f"{name} is not finite")
-    if state.status not in STATUSES:
-        raise ValueError(f"status {state.status!r}")
+    if (stored.state is None) != (record.next_index == 0) or (record.next_index and stored.background is None):
+        raise ValueError("particles or background are missing, or there without frames")
+    info = record.background_info
+    if (info is None) != (stored.background is None):
+        raise ValueError("the background is not described")
+    size = None if info is None else (info["width"], info["height"])
+    return RestoreJob(config, stored.background, size, stored.state, len(names.free))
 
 
 def _upload(packed: Checkpoint) -> Upload:
@@ -187,7 +188,7 @@ def _upload(packed: Checkpoint) -> Upload:
             name=str(model["name"])[:200],
             joints=None if joints is None else tuple(joints),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise CheckpointError(f"the model does not fit: {error}") from error
 
 

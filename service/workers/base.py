@@ -124,6 +124,29 @@ class PackedFrameReport:
 
 
 @dataclass(frozen=True)
+class RestoreJob:
+    """Check a background and a packed state that come from another server."""
+
+    config: SessionConfig
+    background: bytes | None
+    size: tuple[int, int] | None  # of the whole frames, width and height; None without a background
+    state: bytes | None
+    n_joints: int  # free ones
+
+
+@dataclass(frozen=True)
+class RestoreReport:
+    """What they are; None where there is no state."""
+
+    background_frames: int = 0
+    channels: int | None = None
+    bits: int | None = None
+    frame_index: int | None = None
+    time_s: float | None = None
+    status: str | None = None
+
+
+@dataclass(frozen=True)
 class OverlayJob:
     """Draw the best silhouette of an estimate over its frame (the paper's Table 1), as PNG."""
 
@@ -187,6 +210,9 @@ class Worker(Protocol):
 
     def mesh(self, job: MeshJob) -> bytes:
         """GLB of a model's prepared mesh."""
+
+    def restore(self, job: RestoreJob) -> RestoreReport:
+        """Check what a checkpoint brings. Raises ``CheckpointError``."""
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
         """Backwards over a pass that was tracked."""

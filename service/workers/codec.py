@@ -26,6 +26,7 @@ FORMAT_VERSION = 1
 _MAGIC = b"SKYP"
 _PREFIX = struct.Struct("<4sHHI")
 _KINDS = "biufc"
+_MOST_HEADER = 1 << 20  # a state's is a thousandth of that
 
 
 def encode(value: object) -> bytes:
@@ -48,7 +49,7 @@ def decode(kind: type[T], blob: bytes) -> T:
     try:
         arrays = _read_arrays(header["arrays"], memoryview(blob)[offset:-4])
         return typing.cast(T, _unpack(header["tree"], kind, arrays))
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError) as error:
         raise CheckpointError(f"the stored fields do not fit {kind.__name__}: {error}") from error
 
 
@@ -62,9 +63,11 @@ def _read_header(blob: bytes) -> tuple[dict[str, Any], int]:
         raise CheckpointError(f"format version {version}; this release reads {FORMAT_VERSION}", format_version=version)
     if zlib.crc32(memoryview(blob)[:-4]) != struct.unpack("<I", blob[-4:])[0]:
         raise CheckpointError("damaged: the checksum does not match")
+    if length > _MOST_HEADER:
+        raise CheckpointError("damaged header")
     try:
         header = json.loads(blob[_PREFIX.size : _PREFIX.size + length])
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CheckpointError("damaged header") from error
     if not isinstance(header, dict):
         raise CheckpointError("damaged header")

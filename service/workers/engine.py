@@ -17,6 +17,8 @@ from service.workers.base import (
     OverlayJob,
     PackedFrameJob,
     PackedFrameReport,
+    RestoreJob,
+    RestoreReport,
     SmoothJob,
     SmoothReport,
 )
@@ -96,6 +98,11 @@ class Engine:
             return data
 
         return await _with_blobs(run, blobs)
+
+    async def restore(self, job: RestoreJob) -> RestoreReport:
+        """Check what a checkpoint brings, beside the tracking."""
+        report: RestoreReport = await self.transport.call(None, "restore", job)
+        return report
 
     async def smooth(self, job: SmoothJob) -> SmoothReport:
         """A pass smoothed, beside the tracking."""

@@ -47,6 +47,8 @@ from service.workers.base import (
     ModelJob,
     ModelReport,
     OverlayJob,
+    RestoreJob,
+    RestoreReport,
     SmoothJob,
     SmoothReport,
 )
@@ -57,6 +59,7 @@ from service.workers.full_frame import camera_window, in_full_frame, in_window, 
 from service.workers.limits import DecodeLimits
 from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
+from service.workers.restoring import check_restored
 from service.workers.scoring import Scorers, TimedScorer
 from service.workers.smoothing import belief_after, smooth_pass, with_rates
 from service.workers.splitting import SplitJob
@@ -192,6 +195,10 @@ class Tracker:
     def mesh(self, job: MeshJob) -> bytes:
         """GLB of a model's prepared mesh."""
         return mesh_glb(self._mesh(job.model, job.file_type, job.blobs))
+
+    def restore(self, job: RestoreJob) -> RestoreReport:
+        """Check what a checkpoint brings."""
+        return check_restored(job)
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
         """Backwards over a pass that was tracked."""

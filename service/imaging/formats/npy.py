@@ -50,8 +50,8 @@ def _read_layout(body: bytes) -> _Layout:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(stream)
-    except ValueError as error:
-        raise broken(f"NPY: {error}") from error
+    except Exception as error:  # a parser of Python literals: whatever it trips over, the file is at fault
+        raise broken(f"NPY: the header cannot be read: {error}") from error
     if dtype.hasobject or dtype.kind not in "biuf":
         raise broken(f"NPY: {dtype} is no type of number")
     colour = len(shape) in (3, 4) and shape[-1] == 3

@@ -34,6 +34,7 @@ _BAYER = {
 }
 _YEAR_ONE = datetime(1, 1, 1, tzinfo=UTC)
 _TICKS_PER_MICROSECOND = 10
+_MOST_TICKS = 3_155_378_976_000_000_000  # the year 10,000
 _LOOKED_AT = 1 << 16  # pixels that decide the byte order
 
 
@@ -69,7 +70,7 @@ def read_ser(body: bytes, limits: ImageLimits, byte_order: ByteOrder = "auto") -
 
 
 def read_ser_times(body: bytes, limits: ImageLimits) -> list[datetime | None]:
-    """UTC of every frame out of the trailer; None where it is missing or 0. Raises as ``read_ser`` does."""
+    """UTC of every frame out of the trailer; None where it is missing, 0 or no date. Raises as ``read_ser`` does."""
     header = _read_header(body, limits)
     start = _HEADER.size + header.frames * header.frame_bytes
     if start + 8 * header.frames > len(body):
@@ -116,4 +117,4 @@ def _colours(image: NDArray[np.generic], colour: int) -> NDArray[np.generic]:
 
 def _time(ticks: int) -> datetime | None:
     """.NET ticks of 100 ns since the year 1."""
-    return None if ticks <= 0 else _YEAR_ONE + timedelta(microseconds=ticks // _TICKS_PER_MICROSECOND)
+    return None if not 0 < ticks < _MOST_TICKS else _YEAR_ONE + timedelta(microseconds=ticks // _TICKS_PER_MICROSECOND)

@@ -1,0 +1,141 @@
+"""Good inputs, small, one of each kind: what the fuzzer spoils."""
+
+import gzip
+import io
+import json
+import struct
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import trimesh
+from astropy.io import fits
+
+SIZE = (24, 32)  # rows, columns
+
+
+@dataclass(frozen=True)
+class Seed:
+    """A good input. ``kind`` is a media type, or the file type of a mesh."""
+
+    kind: str
+    body: bytes
+    mesh: bool = False
+
+
+def grey(bits: int = 8, frames: int = 1) -> np.ndarray:
+    """(frames, rows, columns) of noise."""
+    rng = np.random.default_rng(bits + frames)
+    return rng.normal(40, 5, (frames, *SIZE)).clip(0).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def image_seeds() -> list[Seed]:
+    """Every format of single images, and of several in a file."""
+    colour = np.dstack([grey()[0]] * 3)
+    many = cv2.imencodemulti(".tiff", list(grey(16, 3)))[1].tobytes()
+    return [
+        Seed("image/png", encoded(".png", grey()[0])),
+        Seed("image/png", encoded(".png", grey(16)[0])),
+        Seed("image/png", encoded(".png", np.dstack([colour, grey()[0]]))),
+        Seed("image/jpeg", encoded(".jpg", colour)),
+        Seed("image/jpeg", encoded(".jpg", grey()[0], cv2.IMWRITE_JPEG_PROGRESSIVE, 1)),
+        Seed("image/tiff", encoded(".tiff", grey(16)[0])),
+        Seed("image/tiff", encoded(".tiff", colour)),
+        Seed("image/tiff", many),
+        *(Seed("image/fits", body) for body in fits_files()),
+        Seed("application/x-npy", npy(grey(16)[0])),
+        Seed("application/x-npy", npy(grey(8, 3).astype(np.float32))),
+        Seed("application/imagebytes", imagebytes(grey(16)[0])),
+        Seed("video/x-ser", ser(grey(16, 2))),
+    ]
+
+
+def encoded(extension: str, image: np.ndarray, *options: int) -> bytes:
+    """An image file by OpenCV."""
+    return cv2.imencode(extension, image, options)[1].tobytes()
+
+
+def npy(array: np.ndarray) -> bytes:
+    """NumPy's own format."""
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def imagebytes(image: np.ndarray) -> bytes:
+    """ASCOM ImageBytes of unsigned 16-bit pixels."""
+    rows, columns = image.shape
+    return struct.pack("<11i", 1, 0, 0, 0, 44, 8, 8, 2, columns, rows, 0) + image.T.astype("<u2").tobytes()
+
+
+def ser(stack: np.ndarray) -> bytes:
+    """SER of 16-bit frames with time stamps."""
+    count, rows, columns = stack.shape
+    head = struct.pack("<14s7i40s40s40s2q", b"LUCAM-RECORDER", 0, 0, 0, columns, rows, 16, count, b"", b"", b"", 0, 0)
+    return head + stack.astype("<u2").tobytes() + struct.pack(f"<{count}q", *(638_000_000_000_000_000,) * count)
+
+
+def fits_files() -> list[bytes]:
+    """Plain, a cube, tile-compressed, in gzip."""
+    header = fits.Header({"DATE-OBS": "2026-11-20T03:04:05", "EXPTIME": 0.5, "RA": 10.0, "DEC": 20.0})
+    hdus = [
+        fits.PrimaryHDU(grey(16)[0], header),
+        fits.PrimaryHDU(grey(16, 2).astype(np.float32), header),
+    ]
+    files = [written(fits.HDUList([hdu])) for hdu in hdus]
+    packed = fits.CompImageHDU(grey(16)[0], header, compression_type="RICE_1")
+    return [*files, written(fits.HDUList([fits.PrimaryHDU(), packed])), gzip.compress(files[0])]
+
+
+def written(hdus: fits.HDUList) -> bytes:
+    """A FITS file's bytes."""
+    stream = io.BytesIO()
+    hdus.writeto(stream)
+    return stream.getvalue()
+
+
+def video_seeds() -> list[Seed]:
+    """Two containers, two codecs."""
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, codec, kind in (("a.avi", "MJPG", "video/avi"), ("b.mp4", "mp4v", "video/mp4")):
+            path = Path(folder) / name
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10, SIZE[::-1])
+            for image in grey(8, 3):
+                writer.write(np.dstack([image] * 3))
+            writer.release()
+            found.append(Seed(kind, path.read_bytes()))
+    return found
+
+
+def mesh_seeds() -> list[Seed]:
+    """Every mesh format; a GLB of two nodes with an articulation."""
+    box = trimesh.creation.box((1.0, 2.0, 0.5))
+    scene = trimesh.Scene()
+    scene.add_geometry(box, node_name="body")
+    scene.add_geometry(box, node_name="panel", parent_node_name="body", transform=np.diag([2.0, 0.5, 1, 1]))
+    files = {kind: as_bytes(box.export(file_type=kind)) for kind in ("stl", "obj", "ply", "stl_ascii")}
+    files["glb"] = as_bytes(scene.export(file_type="glb"))
+    return [Seed(kind.removesuffix("_ascii"), body, mesh=True) for kind, body in files.items()]
+
+
+def as_bytes(file: bytes | str) -> bytes:
+    """Some exporters give text."""
+    return file.encode() if isinstance(file, str) else file
+
+
+def json_seeds() -> list[bytes]:
+    """Bodies of ``POST /v1/sessions``; MODEL stands for the model's id."""
+    full = {
+        "model_id": "MODEL",
+        "name": "x",
+        "filter": {"preset": "balanced", "particles": 100, "seed": 3},
+        "likelihood": {"kind": "contrast"},
+        "prior": {},
+        "motion": {"kind": "constant_velocity", "frame_interval_s": 0.1},
+        "camera": {"mirrored": False, "pixel_scale_arcsec": 0.2},
+        "joints": {"free": [], "fixed": {}},
+    }
+    return [json.dumps(full).encode(), b'{"model_id": "MODEL"}', b'{"model_ids": ["MODEL", "MODEL"]}']

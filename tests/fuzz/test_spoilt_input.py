@@ -1,0 +1,24 @@
+"""The short form of the fuzzer: the same inputs every time. ``python -m tests.fuzz.campaign`` is the long one."""
+
+import pytest
+
+from tests.fuzz import direct, forged
+
+DECODE_LIMIT_MB = 2048
+
+
+def test_spoilt_files_are_refused_or_decoded():
+    found = direct.run(3000, seed=1)
+    assert found.inputs == 3000
+    assert not found.wrong
+    assert not found.tripped
+    assert found.answers["decoded"] < 1500
+    assert found.peak_mb < DECODE_LIMIT_MB
+
+
+@pytest.mark.anyio
+async def test_forged_checkpoints_are_refused_or_harmless():
+    found = await forged.run(60, seed=2)
+    assert found.inputs == 60
+    assert not found.wrong
+    assert found.statuses[422] > 20
