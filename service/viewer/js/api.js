@@ -42,9 +42,12 @@ export class Api {
 
   async fetch(path, options) {
     try {
-      return await fetch(path, options);
+      const answer = await fetch(path, options);
+      this.reached = true;
+      return answer;
     } catch (error) {
       if (error.name === "AbortError") throw error;
+      this.reached = false;
       throw new Offline();
     }
   }

@@ -99,7 +99,7 @@ export class CloudView {
     this.estimate = estimate;
     if (!this.aimed) this.resetView();
     this.aimed = true;
-    if (!this.particles || this.particles.index !== estimate.index) this.plotModes(estimate);
+    if (!this.particles) this.plotModes(estimate); // else the last cloud stays until the next is there
     this.wanted = estimate;
     if (this.fetching) return;
     this.fetching = true;

@@ -59,9 +59,9 @@ export function addHeading(api, { deleted }) {
     link(stream, shown, past) {
       const lamp = $("link"), stale = Boolean(stream?.stale);
       const seconds = Math.round((stream?.silentMs ?? 0) / 1000);
-      const state = !stream ? "" : stale ? "lost" : stream.state;
+      const state = !stream ? (api.reached ? "live" : "lost") : stale ? "lost" : stream.state;
       lamp.className = state;
-      const says = { live: past ? "live, looking at the past" : quiet(shown, arrived), lost: "reconnecting",
+      const says = !stream ? { live: "ready", lost: "not connected" }[state] : { live: past ? "live, looking at the past" : quiet(shown, arrived), lost: "reconnecting",
         connecting: "connecting", ended: "ended" }[state] ?? "";
       const text = lamp.querySelector(".text");
       if (text.textContent !== says) text.textContent = says;

@@ -7,9 +7,9 @@ import { fitRenderer, makeTurnable, openRenderer, Painter } from "./gl.js";
 import { onScreen } from "./rotation.js";
 
 const BODY = new MeshStandardMaterial({ color: 0xaeb9c6, roughness: 0.75, metalness: 0.15, flatShading: true,
-  side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+  side: DoubleSide });
 const MOVING = new MeshStandardMaterial({ color: 0x5f86c9, roughness: 0.5, metalness: 0.2, flatShading: true,
-  side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+  side: DoubleSide });
 const CREASE = new LineBasicMaterial({ color: 0x0b1016, transparent: true, opacity: 0.55 });
 const AXES = [["X", 0xff6b6b, [1, 0, 0]], ["Y", 0x6bd66b, [0, 1, 0]], ["Z", 0x6b9bff, [0, 0, 1]]];
 const MAX_CREASED_FACES = 40_000;
@@ -45,14 +45,19 @@ function letter(name, colour) {
 export function drawn(body) {
   const group = body.instance((part, moves) => (moves ? MOVING : BODY));
   if (body.model.faces > MAX_CREASED_FACES) return group;
-  for (const mesh of group.children) mesh.add(new LineSegments(new EdgesGeometry(mesh.geometry, 25), CREASE));
+  for (const mesh of group.children) {
+    const creases = new LineSegments(new EdgesGeometry(mesh.geometry, 25), CREASE);
+    creases.scale.setScalar(1.001); // just above the faces
+    mesh.add(creases);
+  }
   return group;
 }
 
 export function lights() {
-  const sun = new DirectionalLight(0xffffff, 3);
+  const sun = new DirectionalLight(0xffffff, 2), lamp = new DirectionalLight(0xffffff, 1.3);
   sun.position.set(-0.6, 0.8, 1);
-  return [sun, new HemisphereLight(0xbfd4ff, 0x2a3548, 1.3)];
+  lamp.position.set(0.2, -0.2, 1); // no side that is seen stays black
+  return [sun, lamp, new HemisphereLight(0xbfd4ff, 0x3a4558, 1.1)];
 }
 
 export class ModelView {
@@ -85,7 +90,7 @@ export class ModelView {
     this.holder.clear();
     this.body = body;
     this.group = drawn(body);
-    this.holder.add(this.group, axes(body.radius * 1.15));
+    this.holder.add(this.group, axes(body.radius * 0.9));
     this.holder.scale.setScalar(1 / body.radius);
     if (this.pose) this.show(this.pose);
   }
@@ -99,7 +104,7 @@ export class ModelView {
   draw(width, height) {
     if (!this.renderer) return;
     fitRenderer(this.renderer, width, height);
-    const reach = 1.25 / this.turnable.zoom / Math.min(width, height);
+    const reach = 1.12 / this.turnable.zoom / Math.min(width, height);
     Object.assign(this.camera, { left: -reach * width, right: reach * width, top: reach * height,
       bottom: -reach * height, near: 0, far: 20 });
     this.camera.updateProjectionMatrix();

@@ -7,7 +7,7 @@ const POSE = [
   { key: "roll", name: "Roll", unit: "°", angle: true },
   { key: "x", name: "Position x", unit: "px" },
   { key: "y", name: "Position y", unit: "px" },
-  { key: "scale", name: "Scale", unit: "px per unit" },
+  { key: "scale", name: "Scale", unit: "px/unit" },
 ].map((spec) => ({ ...spec, pose: true, least: 0.05, value: (row) => row.best[spec.key] }));
 
 const HEALTH = [

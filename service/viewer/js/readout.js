@@ -25,6 +25,7 @@ export class Readout {
     fill(this.numbers, rows(estimate, spread, kinds).map(([name, value]) => {
       const pair = element("div");
       pair.append(element("dt", name), element("dd", value));
+      pair.title = value;
       return pair;
     }));
     this.showModes(estimate.modes);
@@ -71,7 +72,7 @@ function rows(estimate, spread, kinds) {
     ["Pitch", degrees(best.pitch_deg, spread.pitch_deg)],
     ["Roll", degrees(best.roll_deg, spread.roll_deg)],
     ["Position", `${best.x_px.toFixed(1)}, ${best.y_px.toFixed(1)} ± ${Math.max(spread.x_px, spread.y_px).toFixed(1)} px`],
-    ["Scale", `${best.scale_px.toPrecision(4)} ± ${spread.scale_px.toPrecision(2)} px per unit`],
+    ["Scale", `${best.scale_px.toPrecision(4)} ± ${spread.scale_px.toPrecision(2)} px/unit`],
     ...Object.entries(best.joints).map(([name, value]) => [name, name in spread.joints
       ? `${value.toFixed(2)} ± ${spread.joints[name].toFixed(2)}${unit(name)}` : `${value.toFixed(2)}${unit(name)}, fixed`]),
     ...rates(estimate.rates),
