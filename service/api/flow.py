@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import structlog
+from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import problem_response
+from service.api.services import services_of
 from service.errors import BusyError, SlowBodyError
 from service.settings import Settings
 
@@ -64,6 +66,7 @@ class Flow:
             with self._place(scope).take():
                 await self._app(scope, self._timed(receive), self._paced(send))
         except BusyError as error:
+            services_of(Request(scope)).metrics.refusals.labels(error.slug).inc()
             await problem_response(error)(scope, receive, send)
         except StalledError:
             log.info("client let go: it took nothing for too long", path=scope["path"])

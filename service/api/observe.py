@@ -10,6 +10,8 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.access.principal import Principal
+from service.api.auth import PRINCIPAL
 from service.api.services import services_of
 
 log = structlog.get_logger(__name__)
@@ -50,7 +52,10 @@ class Observe:
         method = scope["method"] if scope["method"] in _METHODS else "other"  # a client may invent any
         metrics.request_seconds.labels(method, path, str(status)).observe(seconds)
         if not scope["path"].startswith(_QUIET):
-            log.info("call", method=scope["method"], path=scope["path"], status=status, ms=round(seconds * 1e3, 1))
+            caller: Principal | None = scope.get("state", {}).get(PRINCIPAL)
+            who = {} if caller is None else {"tenant": caller.tenant, "key": caller.key_id}
+            ms = round(seconds * 1e3, 1)
+            log.info("call", method=scope["method"], path=scope["path"], status=status, ms=ms, **who)
 
 
 def _request_id(given: str) -> str:

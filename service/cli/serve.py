@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import uvicorn
     from fastapi import FastAPI
 
+    from service.errors import SkyposeError
     from service.settings import Settings
 
 
@@ -32,6 +33,7 @@ def serve(
 def run(settings: Settings, worker: str | None = None) -> None:
     """Serve until SIGINT or SIGTERM, then finish the frames in hand. ``worker`` names another than the tracker."""
     from service.cli import logs
+    from service.errors import SkyposeError
     from service.workers.limits import DecodeLimits
     from service.workers.process import TRACKER, ProcessTransport
 
@@ -48,7 +50,10 @@ def run(settings: Settings, worker: str | None = None) -> None:
     transport.prestart()  # its imports take as long as ours below: side by side they take half
     from service.main import create_app
 
-    app = create_app(settings, transport)
+    try:
+        app = create_app(settings, transport)
+    except SkyposeError as error:
+        _refuse(error)
     _server(app, settings).run()
 
 
@@ -78,8 +83,12 @@ def refuse_open_door(settings: Settings) -> None:
     try:
         asyncio.run(look())
     except SkyposeError as error:
-        typer.echo(f"skypose serve: {error.detail}", err=True)
-        raise typer.Exit(2) from error
+        _refuse(error)
+
+
+def _refuse(error: SkyposeError) -> NoReturn:
+    typer.echo(f"skypose serve: {error.detail}", err=True)
+    raise typer.Exit(2) from error
 
 
 def _server(app: FastAPI, settings: Settings) -> uvicorn.Server:

@@ -1,13 +1,22 @@
 """What one tenant has does not exist for another: every route of the OpenAPI document, walked as two tenants."""
 
 import json
+import pkgutil
 import re
 import uuid
+from dataclasses import replace
+from importlib import import_module
 
+import numpy as np
+import orjson
 import pytest
 from api_client import PNG, image
 from callers import guarded
 from fake_worker import CUBE
+
+import service.api
+from service.sessions.checkpoint import Checkpoint
+from service.workers.codec import decode, encode
 
 pytestmark = pytest.mark.anyio
 ENDLESS = "/v1/sessions/{session_id}/events"
@@ -185,3 +194,40 @@ async def test_ids_cannot_name_another_tenants_rows(make_app, tmp_path):
             assert (await root.http.get(path)).status_code == 404
         answer = await root.http.post("/v1/sessions", json={"model_id": f"acme/{model_id}"})
         assert answer.status_code == 404
+        for body in ({"model_id": model_id}, {"model_ids": [model_id, "0" * 32]}):
+            assert (await root.http.post("/v1/sessions", json=body)).status_code == 404
+
+
+@pytest.mark.parametrize(
+    "crafted",
+    [
+        {"tenant": "acme"},
+        {"model_ids": ["acme/model"]},
+        {"number": 1},
+        {"epoch": 99},
+        {"background_key": "0" * 64},  # of another's background, or of one to come
+    ],
+)
+async def test_a_crafted_checkpoint_names_no_rows_of_others(make_app, tmp_path, crafted):
+    async with guarded(make_app, tmp_path) as callers:
+        other = await callers.client("other")
+        session_id = await other.ready_session()
+        here = f"/v1/sessions/{session_id}/checkpoint"
+        found = decode(Checkpoint, (await other.http.get(here)).content)
+        session = {**orjson.loads(found.session.tobytes()), **crafted}
+        blob = encode(replace(found, session=np.frombuffer(orjson.dumps(session), np.uint8)))
+        answer = await other.http.put("/v1/sessions/new/checkpoint", content=blob)
+        assert (answer.status_code, answer.json()["type"]) == (422, "urn:skypose:problem:broken-checkpoint")
+        assert (await other.http.get("/v1/sessions/new")).status_code == 404
+
+
+def test_what_the_description_leaves_out_tells_nothing(make_app):
+    """Routes that are not in the OpenAPI document: the stream, tested for itself, and the same for everybody."""
+    app = make_app()
+    modules = [import_module(f"service.api.{found.name}") for found in pkgutil.iter_modules(service.api.__path__)]
+    routers = [app.router, *(module.router for module in modules if hasattr(module, "router"))]
+    found = [route for router in routers for route in router.routes if hasattr(route, "path")]
+    paths = {getattr(route, "path_format", route.path) for route in found}
+    assert len(paths) > 25
+    hidden = paths - set(app.openapi()["paths"])
+    assert hidden == {"/", "/docs", "/openapi.json", "/static", "/v1/sessions/{session_id}/stream"}
