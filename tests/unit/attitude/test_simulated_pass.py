@@ -6,12 +6,9 @@ the attitude's own arithmetic, which must stay below 0.1 degrees.
 
 from datetime import UTC, datetime, timedelta
 
-import astropy.units as u
 import numpy as np
 import pytest
-from astropy.coordinates import AltAz, EarthLocation, SkyCoord
-from astropy.time import Time
-from astropy.utils import iers
+from sky_pass import SITES, UP_DEG, affine_rows, image_of, sky_camera
 
 from service.imaging.facts import NOTHING
 from service.inference.params import CameraParams
@@ -20,10 +17,8 @@ from service.inference.state import PoseEstimate
 from service.sessions.absolute import View, attitude_document, mount_of, pointing_of, rate_since, view_of
 
 START = datetime(2026, 11, 20, 3, 4, 5, tzinfo=UTC)
-SITES = {"vienna": (48.23, 16.34), "paranal": (-24.63, -70.40)}
 PIXEL_DEG, SIZE_PX = 2e-4, (1024, 768)
 RATE = np.array([0.02, -0.01, 0.03])  # rad/s, fixed in GCRF
-UP_DEG = 17.0
 STEP_S = 2.0
 
 
@@ -31,36 +26,9 @@ def attitude(seconds: float) -> np.ndarray:
     return multiply(exp_so3(RATE * seconds), exp_so3(np.array([0.4, -1.1, 0.8])))
 
 
-def sky_camera(kind: str, place: EarthLocation, moment: datetime, azimuth: float, elevation: float):
-    """Unit vectors forward and up in ICRS, the centre's position, by astropy alone."""
-    frame = AltAz(obstime=Time(moment), location=place)
-    looked = SkyCoord(azimuth * u.deg, elevation * u.deg, frame=frame)
-    centre = looked.icrs
-    if kind == "altaz":
-        above = looked.directional_offset_by(-UP_DEG * u.deg, 1e-3 * u.deg).icrs
-    else:
-        above = centre.directional_offset_by(UP_DEG * u.deg, 1e-3 * u.deg)
-    forward, upward = (point.cartesian.xyz.value for point in (centre, above))
-    up = upward - (upward @ forward) * forward
-    return forward, up / np.linalg.norm(up), centre
-
-
-def image_of(points, forward, up, mirrored: bool, centre_px) -> np.ndarray:
-    """Pinhole images, pixels, of points (N, 3) that are far away along a ray off the axis."""
-    right = np.cross(forward, up)
-    ray = forward + np.tan(np.deg2rad(0.06)) * right + np.tan(np.deg2rad(0.05)) * up
-    seen = points + 1e5 * ray / np.linalg.norm(ray)
-    x, y = seen @ right / (seen @ forward), -(seen @ up) / (seen @ forward)
-    flat = np.rad2deg(np.stack([-x if mirrored else x, y], axis=1)) / PIXEL_DEG
-    return flat + centre_px
-
-
 def affine_pose(points, image) -> PoseEstimate:
-    rows = np.linalg.lstsq(points, image - image.mean(axis=0), rcond=None)[0].T
-    left, size, right = np.linalg.svd(rows, full_matrices=False)
-    rows = left @ right
-    quaternion = from_matrices(np.vstack([rows, np.cross(*rows)]))
-    return PoseEstimate(quaternion, image.mean(axis=0), float(size.mean()), np.zeros(0))
+    matrix, scale = affine_rows(points, image)
+    return PoseEstimate(from_matrices(matrix), image.mean(axis=0), scale, np.zeros(0))
 
 
 @pytest.mark.parametrize("site", SITES)
@@ -77,17 +45,15 @@ def test_attitude_and_rate_come_back(site, mirrored, kind):
         site_latitude_deg=latitude,
         site_longitude_deg=longitude,
     )
-    place = EarthLocation.from_geodetic(longitude, latitude, 500)
     points = np.random.default_rng(12).normal(size=(40, 3))
     points -= points.mean(axis=0)
     before, quaternions = None, []
     for k in range(5):
         moment = START + timedelta(seconds=STEP_S * k)
         azimuth, elevation = 140.0 + 3.0 * k, 40.0 + 4.0 * k
-        with iers.conf.set_temp("auto_download", False):
-            forward, up, centre = sky_camera(mount, place, moment, azimuth, elevation)
+        forward, up, centre = sky_camera(mount, site, moment, azimuth, elevation)
         truth = attitude(STEP_S * k)
-        image = image_of(points @ rotation_matrices(truth).T, forward, up, mirrored, np.array(SIZE_PX) / 2)
+        image = image_of(points @ rotation_matrices(truth).T, forward, up, mirrored, SIZE_PX, PIXEL_DEG)
         pose = affine_pose(points, image)
         query = {"az_deg": azimuth, "el_deg": elevation}
         if kind != "altaz":
