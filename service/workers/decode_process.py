@@ -20,7 +20,7 @@ from typing import Any
 import structlog
 
 from gpu.mesh_file import RawPart
-from service.errors import ImageError, InputError, MeshFileError, TooLargeError, every_error
+from service.errors import ImageError, InputError, MeshFileError, TooLargeError, WorkerFailedError, every_error
 from service.imaging.decode import ByteOrder, Frame
 from service.imaging.facts import FrameFacts
 from service.imaging.split import SplitFrame
@@ -40,6 +40,8 @@ log = structlog.get_logger(__name__)
 _START = "import sys; from service.workers.decode_child import main; main(int(sys.argv[1]))"
 _START_TIMEOUT_S = 60.0
 _SOCKET_BYTES = 1 << 20
+_MOST_ATTEMPTS = 6
+_NOT_THE_FILE = (None, -signal.SIGKILL)
 _FIELDS = ("body", "file", "header:Content-Type")
 _FACTS = ("limit", "found", "setting", "supported")
 _REFUSALS = {kind.slug: kind for kind in every_error() if issubclass(kind, InputError)}
@@ -48,7 +50,7 @@ _REFUSALS = {kind.slug: kind for kind in every_error() if issubclass(kind, Input
 class _LostError(Exception):
     """The process ended, or had to be ended, in the middle of a job."""
 
-    def __init__(self, reason: str, status: int | None = None) -> None:
+    def __init__(self, reason: str, status: int | None) -> None:  # exit status; None: it never was ready
         super().__init__(reason)
         self.status = status
 
@@ -111,16 +113,19 @@ class DecodeProcess:
             self._end()
 
     def _call(self, method: str, body: bytes, *arguments: object) -> Reply:
-        """Run a job; where the process may be to blame, and not the file, once more in a new one."""
+        """Run a job. A file that ends two processes is refused; that somebody kills them is not the file's fault."""
         message = pickle.dumps((method, arguments), protocol=5)
         with self._turn:
-            for last_try in (False, True):
+            deaths = 0  # that may be the file's doing
+            for _ in range(_MOST_ATTEMPTS):
                 try:
                     return self._attempt(method, message, body)
                 except _LostError as loss:
-                    if last_try:
+                    deaths += loss.status not in _NOT_THE_FILE
+                    if deaths == 2:
                         raise self._ended(method, loss) from loss
-        raise AssertionError("unreachable")
+                    last = loss
+        raise WorkerFailedError(f"the decoder was lost {_MOST_ATTEMPTS} times: {last}")
 
     def _ended(self, method: str, loss: _LostError) -> InputError:
         if loss.status == OUT_OF_MEMORY:
@@ -186,7 +191,7 @@ class DecodeProcess:
                 receive_reply(child.channel, 0, time.monotonic() + _START_TIMEOUT_S)
             except (EOFError, OSError, ValueError) as error:
                 self._end()
-                raise _LostError(f"the decoder does not start: {type(error).__name__}") from error
+                raise _LostError(f"does not start: {type(error).__name__}", None) from error
             child.ready = True
         return child
 

@@ -54,7 +54,9 @@ def oidc(source: Source | None = None) -> Oidc:
     return Oidc(PROVIDER, KeySet(source or Source(), 3600), 5.0)
 
 
-def token(key=EC_KEY, kid: str | None = "ec", algorithm: str = "ES256", ends_s: float = 86_400, **changes: object) -> str:
+def token(
+    key=EC_KEY, kid: str | None = "ec", algorithm: str = "ES256", ends_s: float = 86_400, **changes: object
+) -> str:
     claims = {**CLAIMS, "exp": int(time.time() + ends_s), **changes}
     claims = {name: value for name, value in claims.items() if value is not None}
     return jwt.encode(claims, key, algorithm, headers={} if kid is None else {"kid": kid})
