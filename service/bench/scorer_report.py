@@ -95,5 +95,5 @@ def scorer_plot(rows: Sequence[ScorerRow], caption: str) -> Figure:
         panel.grid(axis="y", linewidth=0.3)
     axes[0][0].set_ylabel("µs per particle")
     axes[0][-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    plot.suptitle(fill(caption, LINE), fontsize=7)
+    plot.suptitle(fill(caption, LINE, break_on_hyphens=False), fontsize=7)
     return plot

@@ -57,5 +57,5 @@ def step_plot(rows: Sequence[StepRow], caption: str) -> Figure:
     panel.set(xscale="log", yscale="log", xlabel="particles", ylabel="ms per step")
     panel.grid(linewidth=0.3)
     panel.legend(fontsize=8)
-    plot.suptitle(fill(caption, LINE), fontsize=7)
+    plot.suptitle(fill(caption, LINE, break_on_hyphens=False), fontsize=7)
     return plot

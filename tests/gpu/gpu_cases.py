@@ -1,5 +1,6 @@
 """Meshes and poses for the scorers' tests."""
 
+import functools
 import json
 import struct
 from pathlib import Path
@@ -11,6 +12,17 @@ from gpu.mesh import Mesh, assemble, load_mesh
 from gpu.mesh_file import RawPart
 
 SHAPE = (96, 128)
+MESHES = [
+    "grace_fo",
+    "hubble",
+    "iss",
+    "mdlsat",
+    "shuttle_orbiter",
+    "shuttle_orbiter_lod",
+    "suomi_npp",
+    "tdrs",
+    "topex_poseidon",
+]  # of ../shared/data/meshes
 
 
 def mesh_of(*parts: tuple[np.ndarray, np.ndarray]) -> Mesh:
@@ -84,6 +96,7 @@ def relative_error(scores: np.ndarray, expected: np.ndarray, magnitude: np.ndarr
     return float((np.abs(scores - expected) / np.maximum(np.maximum(np.abs(expected), 0.01 * magnitude), 1e-9)).max())
 
 
+@functools.cache
 def shared_mesh(path: Path) -> Mesh:
     return load_mesh(path.read_bytes(), "glb")
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
-from gpu_cases import SHAPE, a_map, box, mesh_of, shared_mesh, soup, sphere, transforms
+from gpu_cases import MESHES, SHAPE, a_map, box, mesh_of, shared_mesh, soup, sphere, transforms
 
 import gpu.opengl
 import gpu.opengl_probe
@@ -57,7 +57,9 @@ def assert_within_the_edge_band(mesh, scorer, poses, values):
         assert abs(score - values[mask].sum(dtype=np.float64)) <= allowed
 
 
-@pytest.mark.parametrize("name", ["mdlsat", "tdrs", "hubble", "topex_poseidon"])
+@pytest.mark.parametrize(
+    ("open_opengl", "name"), [(HAND_OVERS[k % 2], name) for k, name in enumerate(MESHES)], indirect=["open_opengl"]
+)
 def test_real_spacecraft(shared, open_opengl, name):
     mesh = shared_mesh(shared / "data" / "meshes" / f"{name}.glb")
     rng = np.random.default_rng(20)

@@ -1,0 +1,30 @@
+"""``skypose doctor``: what a machine offers, as JSON, and a worker that cannot run."""
+
+import json
+
+from typer.testing import CliRunner
+
+from gpu.device import find_devices
+from service.cli import app
+from service.workers.tracker import Tracker
+
+RUNNER = CliRunner()
+
+
+def test_devices_backends_and_the_hand_over_are_told():
+    result = RUNNER.invoke(app, ["doctor", "--json"])
+    assert result.exit_code == 0, result.output
+    worker = json.loads(result.output)["worker"]
+    assert [device["name"] for device in worker["devices"]] == [report.name for report in find_devices()]
+    assert "outline" in worker["backends"]
+    assert set(worker["hand_over"]) == {"name", "reason", "opengl"}
+
+
+def test_what_stops_a_worker_is_the_diagnosis(monkeypatch):
+    def broken(self):
+        raise RuntimeError("the driver is broken")
+
+    monkeypatch.setattr(Tracker, "describe", broken)
+    result = RUNNER.invoke(app, ["doctor", "--json"])
+    assert result.exit_code == 1
+    assert json.loads(result.output)["error"] == "RuntimeError: the driver is broken"
