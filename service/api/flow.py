@@ -86,7 +86,8 @@ class Flow:
             if complete:  # from here on it tells when the client goes away, which may be never
                 return await receive()
             try:
-                message = await asyncio.wait_for(receive(), self._body_timeout_s)
+                async with asyncio.timeout(self._body_timeout_s):
+                    message = await receive()
             except TimeoutError as error:
                 raise SlowBodyError(
                     f"nothing came for {self._body_timeout_s:g} s in the middle of the body",
@@ -104,7 +105,8 @@ class Flow:
 
         async def timed(message: Message) -> None:
             try:
-                await asyncio.wait_for(send(message), self._send_timeout_s)
+                async with asyncio.timeout(self._send_timeout_s):
+                    await send(message)
             except TimeoutError as error:
                 raise StalledError from error
 
