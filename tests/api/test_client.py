@@ -1,11 +1,13 @@
 """Both clients through a real port: a pass, its files, and streams that survive a restart of the service."""
 
 import asyncio
+from contextlib import aclosing
 from pathlib import Path
 
 import numpy as np
 import pytest
 from api_client import image, served
+from callers import guarded_server
 from fake_worker import CUBE
 
 from service.client import AsyncClient, Client, RefusedError
@@ -60,6 +62,23 @@ async def test_a_pass_with_each_client(make_app, tmp_path):
             answer = await client.post_frame(session_id, image(7), "image/png", key="seven")
             assert (await client.post_frame(session_id, image(7), "image/png", key="seven")).duplicate
             assert (await client.estimate(session_id)).best == answer.best
+
+
+@pytest.mark.parametrize("over", ["websocket", "sse"])
+async def test_the_key_goes_with_every_call_and_stream(make_app, tmp_path, over):
+    async with guarded_server(make_app, tmp_path) as callers:
+        url = f"http://{callers.address}"
+        async with AsyncClient(url, api_key=await callers.key("acme", "operate")) as client:
+            model = await client.upload_model(CUBE, file_name="sat.glb")
+            session_id = (await client.create_session(model.model_id)).session_id
+            await client.add_background(session_id, image(), "image/png")
+            await client.put_frame(session_id, 0, image(1), "image/png")
+            async with aclosing(client.watch(session_id, after=0, over=over)) as events:
+                assert (await anext(events)).seq == 1
+        async with AsyncClient(url) as stranger, aclosing(stranger.watch(session_id, after=0, over=over)) as events:
+            with pytest.raises(RefusedError) as caught:
+                await anext(events)
+            assert caught.value.status == 401
 
 
 @pytest.mark.parametrize("over", ["websocket", "sse"])

@@ -67,6 +67,31 @@ def test_python(blocks: list[tuple[str, str]], folder: Path, port: int) -> None:
     assert len(done.stdout.splitlines()) == FRAMES
 
 
+def test_the_client_page(root: Path, folder: Path, port: int) -> None:
+    (script,) = re.findall(r"^```python\n(.*?)^```$", (root / "docs" / "client.md").read_text(), flags=re.M | re.S)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-"],
+        input=script.replace(":8000", f":{port}"),
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == f"frame-gap frame 99 is not the next; frame {FRAMES} is {FRAMES}"
+
+
+def test_ingest(root: Path, folder: Path, port: int) -> None:
+    page = (root / "docs" / "cli.md").read_text()
+    (command,) = re.findall(r"^    (skypose ingest .*)$", page, flags=re.M)
+    for shown, here in (("/data/tonight", "pass/frames"), ("/data/sky", "pass/background"), ("satellite", "pass/demo")):
+        command = command.replace(shown, here)
+    command = f".venv/bin/{command} --once --json --url http://127.0.0.1:{port}"
+    done = subprocess.run(["bash", "-e"], input=command, cwd=folder, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count('"orientation"') > FRAMES and len(done.stdout.splitlines()) == FRAMES
+
+
 def test_offline(blocks: list[tuple[str, str]], folder: Path) -> None:
     done = subprocess.run(["bash", "-e"], input=blocks[3][1], cwd=folder, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr

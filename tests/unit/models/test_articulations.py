@@ -194,6 +194,33 @@ def test_scale_stages_and_skewed_nodes_are_left_out_with_a_warning():
     assert "rigidly" in model.warnings[0]
 
 
+def test_a_pointing_vector_is_ignored_with_a_warning():
+    box = trimesh.creation.box((1, 1, 1))
+    mesh = raw_mesh({"arm": box, "hand": box.copy()})
+    document = scene_document([stage("xRotate")])
+    (articulation,) = document["extensions"]["AGI_articulations"]["articulations"]
+    articulation["pointingVector"] = [1, 0, 0]
+    model = read_joints(glb(document), "glb", mesh)
+    assert [j.name for j in model.articulation.joints] == ["Arm"]
+    assert "pointing vector" in model.warnings[0]
+
+
+def test_the_drives_of_a_station_become_two_variables():
+    """All ten wings of the ISS: the two alpha joints turn against each other, the eight beta joints alike."""
+    mesh, data, _ = shared_mesh("iss.glb")
+    free = read_joints(data, "glb", mesh).articulation
+    betas = [joint.name for joint in free.joints if joint.name.startswith("Beta_")]
+    ties = [{"name": "Alpha_starboard", "tied_to": "Alpha_port", "ratio": -1}]
+    ties += [{"name": name, "tied_to": betas[0]} for name in betas[1:]]
+    tied = read_joints(data, "glb", mesh, ties).articulation
+    assert [joint.name for joint in tied.joints[:2]] == ["Alpha_port", betas[0]]
+    assert tied.n_joints == free.n_joints - 8
+    together = posed(mesh, tied, {"Alpha_port": 35.0, betas[0]: -70.0})
+    apart = posed(mesh, free, {"Alpha_port": 35.0, "Alpha_starboard": -35.0, **dict.fromkeys(betas, -70.0)})
+    for name, vertices in apart.items():
+        np.testing.assert_allclose(together[name], vertices, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", ["hubble", "topex_poseidon", "mdlsat", "suomi_npp", "iss"])
 def test_articulations_in_the_file_equal_the_published_hinges(name):
     mesh, data, facts = shared_mesh(f"{name}.glb")
