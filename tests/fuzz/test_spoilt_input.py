@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.fuzz import direct, forged
+from tests.fuzz import direct, forged, schema
 
 DECODE_LIMIT_MB = 2048
 
@@ -22,3 +22,10 @@ async def test_forged_checkpoints_are_refused_or_harmless():
     assert found.inputs == 60
     assert not found.wrong
     assert found.statuses[422] > 20
+
+
+@pytest.mark.timeout(600)
+def test_the_api_is_as_its_document_says_for_good_and_bad_values():
+    ended = schema.run(2, seed=1, phases="examples,coverage", worker="fake_worker:FakeWorker")
+    assert ended.status == 0, ended.text[-6000:]
+    assert ended.cases > 500
