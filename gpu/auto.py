@@ -27,6 +27,7 @@ class AutoScorer(LoopingScorer):
         self._openers = list(openers)
         self._opened: list[LoopingScorer] = []  # fastest first, once they were tried
         self._tried: set[tuple[int, int]] = set()
+        self.lost = False  # a device has failed since; what scores now may be slower
         self._first()
 
     @property
@@ -65,6 +66,7 @@ class AutoScorer(LoopingScorer):
                 return question(scorer)
             except DeviceLostError as error:
                 self._opened.remove(scorer)
+                self.lost = True
                 if not (self._opened or self._openers):
                     raise
                 warnings.warn(f"{error}; going on with {self._first().name}", RuntimeWarning, stacklevel=3)

@@ -25,12 +25,12 @@ class FillScorer(LoopingScorer):
         device = open_device(report)
         self._threads = min(threads or device.max_compute_units, device.max_compute_units)
         self.name = f"opencl:fill:{self._threads} of {device.max_compute_units} cores:{report.name}"
-        self._context = cl.Context([device])
-        self._queue = cl.CommandQueue(self._context)
         table = face_table(mesh)
         self._parts = len(mesh.parts)
         self._most_vertices, self._most_faces = table.most_vertices, table.most_faces
         with device_errors(self.name):
+            self._context = cl.Context([device])
+            self._queue = cl.CommandQueue(self._context)
             program = build(self._context, "lanes.cl", "fill.cl")
             self._score, self._draw = (cl.Kernel(program, name) for name in ("score", "draw"))
             arrays = (table.vertices.T, table.vertex_starts, table.faces, table.face_starts)

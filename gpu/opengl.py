@@ -25,7 +25,7 @@ from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
 from gpu.program import device_errors
 from gpu.reducer import Reducer
-from gpu.renderer import Renderer, open_gl
+from gpu.renderer import Renderer, gl_errors, open_gl
 
 GL_CONTEXT, EGL_DISPLAY = 0x2008, 0x2009  # CL_GL_CONTEXT_KHR, CL_EGL_DISPLAY_KHR: pyopencl names them if built with GL
 
@@ -62,7 +62,7 @@ class OpenGLScorer(LoopingScorer):
         tiles = self._bounds.tiles(transforms, (log_ratio.shape[0], log_ratio.shape[1]))
         atlas = atlas_size(tiles, len(transforms), self._renderer.largest_side)
         each = tiles.capacity(atlas)
-        with device_errors(self.name), self._gl:  # another scorer's context may be the current one
+        with device_errors(self.name), gl_errors(self.name), self._gl:  # another scorer's context may be current
             loaded = self._reducer.load(log_ratio)
             for start in range(0, len(transforms), each):
                 batch = slice(start, start + each)
@@ -117,7 +117,8 @@ def _context(report: DeviceReport, hand_over: str) -> cl.Context:
     """A context for the device; for sharing, one that knows the current OpenGL context."""
     device = open_device(report)
     if hand_over != "gl_sharing":
-        return cl.Context([device])
+        with device_errors(f"opengl:{report.name}"):
+            return cl.Context([device])
     context, display = current_egl()
     properties = [(cl.context_properties.PLATFORM, device.platform), (GL_CONTEXT, context), (EGL_DISPLAY, display)]
     try:

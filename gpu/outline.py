@@ -31,10 +31,10 @@ class OutlineScorer(LoopingScorer):
 
     def __init__(self, mesh: Mesh, report: DeviceReport, kernel: str | None = None) -> None:
         self.name = f"opencl:outline:{report.name}"
-        self.queue = cl.CommandQueue(cl.Context([open_device(report)]))
         self._parts = len(mesh.parts)
         self._each = TRANSFORM_BYTES * self._parts
         with device_errors(self.name):
+            self.queue = cl.CommandQueue(cl.Context([open_device(report)]))
             table = build_table(mesh, Occlusion(self.queue).hidden_pieces)
             on_device = DeviceTable.upload(self.queue.context, table, self._parts)
             self._by_group = GpuOutline(self.queue, on_device)

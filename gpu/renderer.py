@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import resources
 
 import moderngl
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpu.atlas import Tiles
-from gpu.errors import DeviceError
+from gpu.errors import DeviceError, DeviceLostError
 from gpu.faces import marked_faces
 from gpu.mesh import Mesh, Part
 
@@ -24,6 +26,15 @@ def open_gl() -> moderngl.Context:
         return moderngl.create_context(standalone=True, require=330, backend="egl")  # type: ignore[arg-type]  # its stub
     except Exception as error:  # glcontext raises bare Exception
         raise DeviceError(f"no OpenGL 3.3 through EGL: {error}") from error
+
+
+@contextmanager
+def gl_errors(name: str) -> Iterator[None]:
+    """Raise ``DeviceLostError`` where OpenGL fails."""
+    try:
+        yield
+    except moderngl.Error as error:
+        raise DeviceLostError(f"{name} failed: {error}") from error
 
 
 class Renderer:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.auto import AutoScorer
 from gpu.errors import DeviceError, DeviceLostError, ImageSizeError, ScorerError
 from gpu.mesh import Mesh
 from gpu.scorer import Scorer, open_scorer
@@ -19,13 +20,20 @@ from service.workers.cache import Cache
 
 TRANSFORMS_BYTES = 16 << 20  # of one call's transforms, so that a million particles need no gigabyte for theirs
 TRANSFORM_BYTES = 48  # of one part
+REOPEN_S = 60.0
 
 
 class Scorers:
-    """Open scorers by model and backend. Owned, used and closed by one thread."""
+    """Open scorers by model and backend. Owned, used and closed by one thread.
 
-    def __init__(self, size: int) -> None:
+    An ``auto`` scorer that has lost a device goes on with a slower one; after ``REOPEN_S`` it is opened anew, since a
+    device that had failed once may be well again. Neither changes an answer: all that it uses give the same bits.
+    """
+
+    def __init__(self, size: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._kept: Cache[Scorer] = Cache(size, lambda scorer: scorer.close())
+        self._clock = clock
+        self._reopen_at: dict[str, float] = {}
 
     @contextmanager
     def lend(self, model: str, backend: str, mesh: Mesh) -> Iterator[Scorer]:
@@ -35,6 +43,9 @@ class Scorers:
         failed during the frame, ``TooLargeError`` where the image is larger than it can take.
         """
         key = f"{model}:{backend}"
+        if self._clock() >= self._reopen_at.get(key, np.inf):
+            del self._reopen_at[key]
+            self._kept.forget(key)
         try:
             scorer = self._kept.get(key, lambda: open_scorer(mesh, backend=backend))
         except DeviceError as error:
@@ -48,6 +59,8 @@ class Scorers:
                 self._kept.forget(key)
             hint = "" if backend == "auto" else "; a session whose filter.backend is auto would go on with another"
             raise ScorerFailedError(f"{error}{hint}", backend=backend) from error
+        if isinstance(scorer, AutoScorer) and scorer.lost:
+            self._reopen_at.setdefault(key, self._clock() + REOPEN_S)
 
     def close(self) -> None:
         """Release every device."""

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import moderngl
 import numpy as np
 import pyopencl as cl
 import pytest
@@ -11,7 +12,7 @@ import gpu.opengl
 import gpu.opengl_probe
 from gpu.atlas import Bounds, atlas_size
 from gpu.device import DeviceReport, find_devices
-from gpu.errors import DeviceError, ImageSizeError
+from gpu.errors import DeviceError, DeviceLostError, ImageSizeError
 from gpu.interop import GlSharingHandOver, choose_hand_over
 from gpu.opengl import OpenGLScorer, agree
 from gpu.opengl_probe import OpenGLReport, expected_hand_over, find_opengl, hand_over_between
@@ -113,6 +114,18 @@ def test_no_particles_and_poses_that_are_no_poses(open_opengl):
     poses = np.zeros((2, 1, 3, 4), np.float32)
     poses[1] = np.nan
     assert scorer.score(poses, np.ones(SHAPE, np.float32)).tolist() == [0, 0]
+
+
+def test_opengl_that_fails_is_reported_as_lost(open_opengl, monkeypatch):
+    mesh = mesh_of(box())
+    scorer = open_opengl(mesh)
+
+    def fail(*_arguments, **_options):
+        raise moderngl.Error("out of memory")
+
+    monkeypatch.setattr(moderngl.Context, "texture", fail)
+    with pytest.raises(DeviceLostError, match=r"opengl:.* failed: out of memory"):
+        scorer.score(transforms(np.random.default_rng(0), mesh, 2, 20.0), np.ones(SHAPE, np.float32))
 
 
 def test_an_image_larger_than_a_texture_is_refused(open_opengl):

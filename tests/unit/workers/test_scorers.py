@@ -13,6 +13,7 @@ from gpu.outline import OutlineScorer
 from gpu.scorer import BACKENDS
 from service.errors import BackendMissingError, ScorerFailedError, TooLargeError
 from service.inference.params import FilterParams
+from service.workers.scoring import REOPEN_S, Scorers
 from service.workers.tracker import Tracker
 
 PREFIX = {"outline": "opencl:outline:", "opengl": "opengl:", "cpu": "opencl:fill:1 of", "cpu-mt": "opencl:fill:"}
@@ -94,6 +95,29 @@ def test_auto_loses_no_frame_with_its_device(demo, tracker, failing):
         report, names = demo.track(tracker, "auto")
     assert names == {"numpy:reference"}
     assert same_bits(report, expected)
+
+
+def test_a_device_that_failed_is_tried_again_after_a_while(demo, failing, monkeypatch):
+    now = 0.0
+    tracker = Tracker()
+    tracker._scorers = Scorers(1, lambda: now)
+    with pytest.warns(RuntimeWarning, match="DEVICE_NOT_AVAILABLE"):
+        tracker.track(demo.job("auto"))
+    monkeypatch.setattr(gpu.scorer, "OutlineScorer", OutlineScorer)  # the device is back
+    now = REOPEN_S - 1
+    assert tracker.track(demo.job("auto")).scorer == "numpy:reference"
+    now = REOPEN_S
+    assert tracker.track(demo.job("auto")).scorer.startswith("opencl:outline:")
+    tracker.close()
+
+
+def test_a_device_that_no_longer_opens_is_passed_over(demo, tracker, monkeypatch, device):
+    def gone(devices):
+        raise cl.RuntimeError("clCreateContext failed: DEVICE_NOT_AVAILABLE")
+
+    monkeypatch.setattr("gpu.outline.cl.Context", gone)
+    with pytest.warns(RuntimeWarning, match="cannot be opened.*DEVICE_NOT_AVAILABLE"):
+        assert tracker.track(demo.job("auto")).scorer == "numpy:reference"
 
 
 def test_a_named_backend_that_fails_is_an_error_and_the_next_frame_opens_another(demo, tracker, failing, monkeypatch):
