@@ -80,7 +80,7 @@ def _urdf_parts(data: bytes, limits: MeshLimits) -> list[RawPart]:
             raise MeshError(f"URDF: mesh files of type {suffix or 'none'} are not read; OBJ, STL, PLY and GLB are")
         return [(part.vertices, part.faces) for part in read_parts(body, suffix, limits)]
 
-    links = link_triangles(read_urdf(document, limits), meshes, read_mesh)
+    links = link_triangles(read_urdf(document, limits), meshes, read_mesh, limits)
     parts = [_checked(name, *_joined(pieces)) for name, pieces in links]
     require(limits, vertices=sum(len(p.vertices) for p in parts), faces=sum(len(p.faces) for p in parts))
     if not any(len(part.faces) for part in parts):

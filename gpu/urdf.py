@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -37,21 +37,16 @@ class UrdfRobot:
     links: Mapping[str, Matrix]  # (4, 4) link -> file coordinates
     joints: tuple[UrdfJoint, ...]
     root: ElementTree.Element
+    subtrees: Mapping[str, Sequence[str]]  # a link and all that hang on it
+    depths: Mapping[str, int]  # joints between a link and the root
 
-    def below(self, link: str) -> tuple[str, ...]:
-        """A link and all that hang on it, in file order."""
-        found = {link}
-        for _ in self.joints:
-            found |= {joint.child for joint in self.joints if joint.parent in found}
-        return tuple(name for name in self.links if name in found)
+    def below(self, link: str) -> frozenset[str]:
+        """A link and all that hang on it."""
+        return frozenset(self.subtrees[link])
 
     def depth(self, link: str) -> int:
         """How many joints lie between a link and the root."""
-        parents = {joint.child: joint.parent for joint in self.joints}
-        depth = 0
-        while link in parents:
-            link, depth = parents[link], depth + 1
-        return depth
+        return self.depths[link]
 
 
 def read_urdf(document: bytes, limits: MeshLimits) -> UrdfRobot:
@@ -65,10 +60,11 @@ def read_urdf(document: bytes, limits: MeshLimits) -> UrdfRobot:
         raise MeshError(f"URDF: {error}") from error
     if root.tag != "robot":
         raise MeshError(f"URDF: the root element is <{root.tag}>, not <robot>")
-    names = [name_of(link, "link") for link in root.findall("link")]
+    listed = [name_of(link, "link") for link in root.findall("link")]
+    names = dict.fromkeys(listed)  # in file order, and quick to ask
     elements = root.findall("joint")
-    require(limits, nodes=len(names) + len(elements))
-    if not names or len(set(names)) < len(names):
+    require(limits, nodes=len(listed) + len(elements))
+    if not names or len(names) < len(listed):
         raise MeshError("URDF: there is no link, or two of one name")
     parents = {_ends(element, names)[1]: element for element in elements}
     if len(parents) < len(elements):
@@ -77,7 +73,26 @@ def read_urdf(document: bytes, limits: MeshLimits) -> UrdfRobot:
     for name in names:
         _place(name, parents, names, places, limits)
     joints = tuple(_joint(element, names, places) for element in elements)
-    return UrdfRobot({name: places[name] for name in names}, joints, root)
+    subtrees, depths = _hierarchy(names, joints)
+    require(limits, depth=max(depths.values()))
+    return UrdfRobot({name: places[name] for name in names}, joints, root, subtrees, depths)
+
+
+def _hierarchy(
+    names: Collection[str], joints: Sequence[UrdfJoint]
+) -> tuple[Mapping[str, Sequence[str]], Mapping[str, int]]:
+    """Of every link all that hang on it, itself included, and how many joints lie above it."""
+    above = {joint.child: joint.parent for joint in joints}
+    subtrees: dict[str, list[str]] = {name: [] for name in names}
+    depths: dict[str, int] = {}
+    for name in names:
+        chain = [name]
+        while chain[-1] in above:
+            chain.append(above[chain[-1]])
+        for link in chain:
+            subtrees[link].append(name)
+        depths[name] = len(chain) - 1
+    return subtrees, depths
 
 
 def name_of(element: ElementTree.Element, what: str) -> str:
@@ -111,7 +126,7 @@ def numbers(element: ElementTree.Element, key: str, default: Sequence[float]) ->
     return values
 
 
-def _ends(element: ElementTree.Element, names: Sequence[str]) -> tuple[str, str]:
+def _ends(element: ElementTree.Element, names: Collection[str]) -> tuple[str, str]:
     ends = []
     for tag in ("parent", "child"):
         end = element.find(tag)
@@ -125,7 +140,7 @@ def _ends(element: ElementTree.Element, names: Sequence[str]) -> tuple[str, str]
 def _place(
     name: str,
     parents: Mapping[str, ElementTree.Element],
-    names: Sequence[str],
+    names: Collection[str],
     places: dict[str, Matrix],
     limits: MeshLimits,
 ) -> None:
@@ -170,7 +185,7 @@ def _axis(element: ElementTree.Element) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _joint(element: ElementTree.Element, names: Sequence[str], places: Mapping[str, Matrix]) -> UrdfJoint:
+def _joint(element: ElementTree.Element, names: Collection[str], places: Mapping[str, Matrix]) -> UrdfJoint:
     name = name_of(element, "joint")
     parent, child = _ends(element, names)
     limit, mimic = element.find("limit"), element.find("mimic")

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gpu.mesh_limits import MeshError
+from gpu.mesh_limits import MeshError, MeshLimits, require
 from gpu.urdf import Matrix, UrdfRobot, name_of, numbers, origin_of
 
 Triangles = tuple[Matrix, NDArray[np.int64]]
@@ -19,11 +19,16 @@ ReadMesh = Callable[[bytes, str], list[Triangles]]
 
 
 def link_triangles(
-    robot: UrdfRobot, meshes: Mapping[str, bytes], read_mesh: ReadMesh
+    robot: UrdfRobot, meshes: Mapping[str, bytes], read_mesh: ReadMesh, limits: MeshLimits
 ) -> list[tuple[str, Sequence[Triangles]]]:
-    """Shapes of every link in file coordinates: what is seen, or what collides where nothing of a robot is seen."""
+    """Shapes of every link in file coordinates: what is seen, or what collides where nothing of a robot is seen.
+
+    Raises ``MeshError``, ``MeshLimitError``.
+    """
+    require(limits, nodes=sum(1 for _ in robot.root.iter("geometry")))
     kind = "visual" if robot.root.find("link/visual") is not None else "collision"
     found: list[tuple[str, Sequence[Triangles]]] = []
+    faces_so_far = 0
     for link in robot.root.findall("link"):
         place = robot.links[name_of(link, "link")]
         pieces = [
@@ -31,6 +36,8 @@ def link_triangles(
             for shape in link.findall(kind)
             for vertices, faces in _shape(shape, meshes, read_mesh)
         ]
+        faces_so_far += sum(len(faces) for _, faces in pieces)
+        require(limits, faces=faces_so_far)  # not at the end: one file may stand in a thousand places
         if pieces:
             found.append((name_of(link, "link"), pieces))
     return found

@@ -29,7 +29,8 @@ def joints_from_urdf(
     for item in robot.joints:
         if item.kind == "fixed":
             continue
-        moved = tuple(name for name in parts if name in robot.below(item.child))
+        below = robot.below(item.child)
+        moved = tuple(name for name in parts if name in below)
         if item.kind not in (*_REVOLUTE, _PRISMATIC):
             warnings.append(f"joint {item.name!r} of type {item.kind!r} is held at its place")
         elif not moved:

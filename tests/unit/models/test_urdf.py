@@ -9,6 +9,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from gpu.mesh import MeshError, load_mesh
+from gpu.mesh_file import read_parts
+from gpu.mesh_limits import MeshLimitError, MeshLimits
 from gpu.urdf_archive import pack_urdf
 from service.errors import JointError
 from service.inference.articulation import part_transforms
@@ -171,3 +173,18 @@ def archive(compression: int, **files: bytes) -> bytes:
 def test_what_is_refused(data, message):
     with pytest.raises(MeshError, match=message):
         load_mesh(data, "urdf")
+
+
+def test_limits_hold_before_anything_large_is_made():
+    few = MeshLimits(faces=3000, nodes=40, depth=3)
+    spheres = b"<visual><geometry><sphere radius='1'/></geometry></visual>"
+    with pytest.raises(MeshLimitError, match="faces"):
+        read_parts(b"<robot><link name='a'>" + 3 * spheres + b"</link></robot>", "urdf", few)
+    with pytest.raises(MeshLimitError, match="nodes"):
+        read_parts(b"<robot><link name='a'>" + 41 * spheres + b"</link></robot>", "urdf", few)
+    links = "".join(f"<link name='{k}'/>" for k in range(6))
+    joints = "".join(
+        f"<joint name='j{k}' type='fixed'><parent link='{k}'/><child link='{k + 1}'/></joint>" for k in range(5)
+    )
+    with pytest.raises(MeshLimitError, match="depth"):
+        read_parts(f"<robot>{links}{joints}</robot>".encode(), "urdf", few)
