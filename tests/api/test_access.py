@@ -65,7 +65,7 @@ async def test_use_is_noted_and_the_secret_is_not_stored(make_app, tmp_path):
         await callers.app.state.services.keys.note_use()
         assert (await api.http.get("/v1/keys")).json()["keys"][0]["last_used_at"]
         folder = tmp_path / "data"
-        secret = key.rpartition("_")[2].encode()
+        secret = key.split("_", 2)[2].encode()
         assert not [file for file in folder.iterdir() if secret in file.read_bytes()]
 
 
@@ -86,6 +86,25 @@ async def test_a_key_is_honoured_where_none_is_needed(make_app):
             answer = await api.http.get("/v1/me", headers={"Authorization": f"Bearer {token}"})
             assert answer.status_code == status
             assert status == 401 or answer.json()["tenant"] == "acme"
+
+
+async def test_off_looks_at_no_credential(make_app):
+    async with running(make_app(auth="off", host="0.0.0.0")) as api:
+        for value in ("Basic eDp5", "Bearer of-the-proxy"):
+            answer = await api.http.get("/v1/me", headers={"Authorization": value})
+            assert answer.json() == {"tenant": "default", "role": "admin", "key_id": "local"}
+
+
+async def test_what_counts_over_all_tenants_is_the_operators(make_app, tmp_path):
+    async with guarded(make_app, tmp_path) as callers:
+        prometheus, acme = await callers.client("default", "read"), await callers.client("acme")
+        await acme.http.put("/v1/sessions/x/frames/0")
+        assert "skypose_request_seconds" in (await prometheus.http.get("/metrics")).text
+        assert (await acme.http.get("/metrics")).status_code == 403
+        mine, all_of_it = [(await api.http.get("/v1/system")).json() for api in (acme, prometheus)]
+        assert (mine["settings"], mine["workers"]) == ({}, [])
+        assert all_of_it["settings"]["auth"] == "required"
+        assert str(tmp_path) not in json.dumps(all_of_it)
 
 
 @pytest.mark.parametrize(
