@@ -67,7 +67,9 @@ export function addHeading(api, { deleted }) {
       if (text.textContent !== says) text.textContent = says;
       $("session").classList.toggle("stale", stale);
       $("stale").hidden = !stale;
-      if (stale) $("stale").textContent = `Stale: nothing heard from the service for ${seconds} s. What you see may be old.`;
+      const [alert, age] = $("stale").children; // the alert is read out once, not every second
+      if (Boolean(alert.textContent) !== stale) alert.textContent = stale ? "Stale: what you see may be old." : "";
+      age.textContent = `Nothing heard from the service for ${seconds} s.`;
     },
   };
 }
