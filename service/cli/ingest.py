@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -88,6 +88,7 @@ class Ingest:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         """Post complete files until there are no more (``once``), or for ever."""
+        from httpx import TransportError
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
         from service.cli.watched_folder import WatchedFolder
@@ -102,28 +103,33 @@ class Ingest:
         with Progress(*columns, console=self.console) as progress:
             task, done = progress.add_task("files", total=None, status="waiting"), 0
             while True:
-                for path in files.ready(now()):
-                    for estimate in self.post(path):
-                        progress.update(task, status=f"frame {estimate.index}: {estimate.status}")
-                    files.take(path)
-                    done += 1
-                    progress.update(task, completed=done, total=done + files.waiting)
+                try:
+                    for path in files.ready(now()):
+                        found = self.post(path)
+                        files.take(path)
+                        done += 1
+                        status = (
+                            f"frame {found[-1].index}: {found[-1].status}" if found else f"{path.name}: no new frame"
+                        )
+                        progress.update(task, completed=done, total=done + files.waiting, status=status)
+                except TransportError as error:
+                    if once:
+                        raise
+                    progress.update(task, status=f"the service does not answer ({type(error).__name__}); trying on")
                 if once and files.waiting == 0:
                     return
                 sleep(poll_s)
 
-    def post(self, path: Path) -> list[Estimate]:
-        """Track a file's frames, tell of each, and return them."""
+    def post(self, path: Path) -> Iterator[Estimate]:
+        """Track a file's frames, and tell of each as it comes."""
         from service.cli.ingest_files import FilePoster
 
         poster = FilePoster(self._client, self._session(path), file_times=self._file_times)
-        found = []
         for estimate in poster.post(path, self._refuse):
             self.tracked += not estimate.duplicate
-            found.append(estimate)
             if self._as_json:
                 typer.echo(estimate.model_dump_json())
-        return found
+            yield estimate
 
     def summary(self) -> None:
         """A line about the run."""
@@ -136,9 +142,12 @@ class Ingest:
         if self._session_id is None:
             self._session_id = remembered_session(self._client, self._note)
         if self._session_id is None:
-            self._session_id = begin_session(self._client, self._plan, first_frame)
+            begun = begin_session(self._client, self._plan, first_frame)
+            self._session_id = begun.session_id
             remember_session(self._note, self._session_id)
             self.console.print(f"session {self._session_id}")
+            for warning in begun.warnings:
+                self.console.print(f"[yellow]{warning}[/yellow]")
         return self._session_id
 
     def _refuse(self, path: Path, error: RefusedError) -> None:

@@ -10,6 +10,8 @@ from typing import Any
 
 import typer
 
+from service.api.schemas import Session
+from service.cli.options import choose_joints
 from service.client import Client, RefusedError
 from service.remote.media import media_type_of
 
@@ -60,15 +62,20 @@ def remember_session(note: Path, session_id: str) -> None:
     note.write_text(json.dumps({"session_id": session_id}) + "\n")
 
 
-def begin_session(client: Client, plan: SessionPlan, first_frame: Path) -> str:
-    """Upload the model, create the session, teach it the sky. Raises ``typer.BadParameter``, ``ClientError``."""
+def begin_session(client: Client, plan: SessionPlan, first_frame: Path) -> Session:
+    """Upload the model, create the session, teach it the sky. Raises ``typer.BadParameter``, ``ClientError``.
+
+    All joints of a model with a few are estimated, of one with many none, unless the plan says otherwise.
+    """
     if plan.mesh is None:
         raise typer.BadParameter("give --session, or --mesh for a new one")
     if (plan.background is not None) + (plan.box is not None) + (plan.border is not None) != 1:
         raise typer.BadParameter("a new session needs one of --background, --box, --border")
     model = client.upload_model(plan.mesh, joints=plan.joints)
-    sections: dict[str, Any] = {"joints": {"free": "all"}, **plan.config}
-    session_id = client.create_session(model.model_id, name=plan.name, **sections).session_id
+    free = choose_joints(None, tuple(joint.name for joint in model.joints))
+    sections: dict[str, Any] = {"joints": {"free": list(free)}, **plan.config}
+    session = client.create_session(model.model_id, name=plan.name, **sections)
+    session_id = session.session_id
     if plan.background is not None:
         for path in background_files(plan.background):
             client.add_background(session_id, path)
@@ -76,7 +83,7 @@ def begin_session(client: Client, plan: SessionPlan, first_frame: Path) -> str:
         client.add_background(session_id, first_frame, box=plan.box)
     elif plan.border is not None:
         client.add_background(session_id, first_frame, border=plan.border)
-    return session_id
+    return session.model_copy(update={"warnings": [*model.warnings, *session.warnings]})
 
 
 def background_files(source: Path) -> list[Path]:
