@@ -105,13 +105,12 @@ class Ingest:
             while True:
                 try:
                     for path in files.ready(now()):
-                        found = self.post(path)
+                        progress.update(task, status=path.name)
+                        for estimate in self.post(path):
+                            progress.update(task, status=f"frame {estimate.index}: {estimate.status}")
                         files.take(path)
                         done += 1
-                        status = (
-                            f"frame {found[-1].index}: {found[-1].status}" if found else f"{path.name}: no new frame"
-                        )
-                        progress.update(task, completed=done, total=done + files.waiting, status=status)
+                        progress.update(task, completed=done, total=done + files.waiting)
                 except TransportError as error:
                     if once:
                         raise
