@@ -4,6 +4,8 @@ import csv
 import io
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from fake_worker import CUBE
 from server_process import Server
 from typer.testing import CliRunner
 
-from service.cli import app as command
+from service.cli import app
 from service.cli.ingest_files import FilePoster
 from service.client import Client
 
@@ -37,7 +39,7 @@ class Desk:
         os.utime(path, (1e9, 1e9))  # complete long ago
 
     def run(self, *arguments: str):
-        return CliRunner().invoke(command, [*arguments, "--url", self.url])
+        return CliRunner().invoke(app, [*arguments, "--url", self.url])
 
     def ingest(self, *more: str):
         begin = ["--mesh", str(self.root / "sat.glb"), "--background", str(self.root / "sky.png"), "--name", "dome"]
@@ -103,6 +105,22 @@ def test_a_file_that_was_cut_off_in_the_middle_goes_on_there(desk):
     told = estimates(desk.ingest())
     assert [e["index"] for e in told] == [1, 2, 3, 4] and told[0]["duplicate"]
     assert session_of(desk)["frames"] == 5
+
+
+def test_killed_at_any_moment_it_goes_on(desk):
+    for n in range(30):
+        desk.put(f"f{n:02d}.png", image(n))
+    command = [sys.executable, "-m", "service", "ingest", "--watch", str(desk.frames), "--once", "--json"]
+    command += ["--url", desk.url, "--mesh", str(desk.root / "sat.glb")]
+    command += ["--background", str(desk.root / "sky.png")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert json.loads(process.stdout.readline())["index"] == 0
+        process.kill()
+    again = desk.ingest()
+    assert again.exit_code == 0, again.output
+    page = httpx.get(f"{desk.url}/v1/sessions/{session_of(desk)['session_id']}/estimates").json()
+    assert [estimate["index"] for estimate in page["estimates"]] == list(range(30))
+    assert len(estimates(again)) < 30
 
 
 def test_a_lost_note_and_a_broken_file(desk):
