@@ -1,4 +1,4 @@
-"""Images on disk for the offline commands: a folder of image files, or a video."""
+"""Images on disk for the offline commands: a folder of image files, one file of one or many frames, or a video."""
 
 from __future__ import annotations
 
@@ -9,17 +9,12 @@ from pathlib import Path
 import cv2
 import typer
 
-MEDIA_TYPES = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".jpeg": "image/jpeg",
-    ".tif": "image/tiff",
-    ".tiff": "image/tiff",
-    ".fits": "image/fits",
-    ".fit": "image/fits",
-    ".fts": "image/fits",
-    ".npy": "application/x-npy",
-}
+from service.imaging.split import PNG, frame_count, split_frames
+from service.remote.media import IMAGES, media_type_of
+
+ONE_FRAME = ("image/png", "image/jpeg")
+
+SER = ".ser"
 
 
 @dataclass(frozen=True)
@@ -37,13 +32,13 @@ class ImageSource:
 
     path: Path
     files: tuple[Path, ...]  # none for a video
-    count: int | None  # None where a video does not say
+    count: int | None  # None where it is known only after reading
     interval_s: float | None  # a video's
 
     def __iter__(self) -> Iterator[ImageFile]:
         if self.files:
             for path in self.files:
-                yield ImageFile(path.name, path.read_bytes(), MEDIA_TYPES[path.suffix.lower()])
+                yield from _file_frames(path)
         else:
             yield from _video_frames(self.path)
 
@@ -51,12 +46,13 @@ class ImageSource:
 def open_images(path: Path) -> ImageSource:
     """A folder or a video file. Raises ``typer.BadParameter`` where there is nothing to read."""
     if path.is_dir():
-        files = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in MEDIA_TYPES))
+        files = tuple(sorted(p for p in path.iterdir() if _holds_images(p)))
         if not files:
-            raise typer.BadParameter(f"{path} holds no image ({', '.join(MEDIA_TYPES)})")
-        return ImageSource(path, files, len(files), None)
-    if path.suffix.lower() in MEDIA_TYPES:
-        return ImageSource(path, (path,), 1, None)
+            raise typer.BadParameter(f"{path} holds no image ({', '.join((*IMAGES, SER))})")
+        single = all(media_type_of(p.name) in ONE_FRAME for p in files)
+        return ImageSource(path, files, len(files) if single else None, None)
+    if path.is_file() and _holds_images(path):
+        return ImageSource(path, (path,), None, None)
     capture = cv2.VideoCapture(str(path))
     try:
         if not path.exists() or not capture.isOpened():
@@ -65,6 +61,23 @@ def open_images(path: Path) -> ImageSource:
     finally:
         capture.release()
     return ImageSource(path, (), count if count > 0 else None, 1.0 / rate if rate > 0 else None)
+
+
+def _holds_images(path: Path) -> bool:
+    """Whether a file is read here: all but videos, which OpenCV decodes frame by frame."""
+    kind = media_type_of(path.name)
+    return kind is not None and (path.suffix.lower() == SER or not kind.startswith("video/"))
+
+
+def _file_frames(path: Path) -> Iterator[ImageFile]:
+    """A file as it is, or each of its frames where it holds several. Raises ``ImageError``."""
+    body, kind = path.read_bytes(), media_type_of(path.name)
+    assert kind is not None, "chosen by its media type"
+    if kind in ONE_FRAME or frame_count(body, kind) == 1:
+        yield ImageFile(path.name, body, kind)
+        return
+    for k, frame in enumerate(split_frames(body, kind)):
+        yield ImageFile(f"{path.name}#{k}", frame.body, PNG)
 
 
 def _video_frames(path: Path) -> Iterator[ImageFile]:

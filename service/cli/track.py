@@ -9,8 +9,10 @@ import typer
 
 
 def track(
-    mesh: Annotated[str, typer.Option(help="Mesh file (GLB, OBJ, STL, PLY), or 'demo'.")],
-    frames: Annotated[Path, typer.Option(help="Folder of images, in the order of their names, or a video.")],
+    mesh: Annotated[str, typer.Option(help="Mesh file (GLB, OBJ, STL, PLY, URDF), or 'demo'.")],
+    frames: Annotated[
+        Path, typer.Option(help="Folder of images, in the order of their names, a file of several, or a video.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder for estimates and contact sheet.")],
     background: Annotated[Path | None, typer.Option(help="Folder of images of empty sky, or a video.")] = None,
     box: Annotated[str | None, typer.Option(help="x,y,w,h: object in frame 1; background is outside.")] = None,

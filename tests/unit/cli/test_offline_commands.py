@@ -2,6 +2,7 @@
 
 import csv
 import json
+import struct
 
 import cv2
 import numpy as np
@@ -100,6 +101,23 @@ def test_a_video_is_read_frame_by_frame(tmp_path):
     assert source.interval_s == pytest.approx(0.05)
     images = [cv2.imdecode(np.frombuffer(image.body, np.uint8), cv2.IMREAD_COLOR) for image in source]
     assert [round(float(image.mean()) / 40) for image in images] == [0, 1, 2, 3]
+
+
+def test_a_file_of_several_frames_is_taken_apart(tmp_path):
+    stack = np.random.default_rng(3).integers(0, 60_000, (3, 8, 12), dtype=np.uint16)
+    np.save(tmp_path / "b.npy", stack)
+    header = struct.pack("<14s7i40s40s40s2q", b"LUCAM-RECORDER", 0, 0, 0, 12, 8, 16, 3, b"", b"", b"", 0, 0)
+    (tmp_path / "c.ser").write_bytes(header + stack.tobytes())
+    (tmp_path / "a.png").write_bytes(cv2.imencode(".png", stack[0])[1].tobytes())
+    source = open_images(tmp_path)
+    assert source.count is None
+    assert [image.name for image in source] == [
+        "a.png",
+        *(f"b.npy#{k}" for k in range(3)),
+        *(f"c.ser#{k}" for k in range(3)),
+    ]
+    for image, expected in zip(open_images(tmp_path / "c.ser"), stack, strict=True):
+        np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(image.body, np.uint8), cv2.IMREAD_UNCHANGED), expected)
 
 
 def test_option_values():
