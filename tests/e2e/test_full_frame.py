@@ -28,7 +28,7 @@ def in_a_larger_frame(body: bytes, fill: int) -> bytes:
     return cv2.imencode(".png", whole)[1].tobytes()
 
 
-def track(images: list[bytes], background: list[bytes], camera: dict):
+def track(images: list[bytes], background: list[bytes], camera: dict, scale_px=None):
     """Background and reports of a short pass, and the smoothed estimates."""
     tracker = Tracker()
     config = effective({**SMALL, "camera": camera})
@@ -42,7 +42,7 @@ def track(images: list[bytes], background: list[bytes], camera: dict):
     for k, body in enumerate(images):
         job = FrameJob(
             config, content_key(GIVEN.mesh), "stl", model.articulation, "sky", state, k, 0.1 * k, body, "image/png",
-            blobs, model.twins, size=size,
+            blobs, model.twins, size=size, scale_px=scale_px,
         )  # fmt: skip
         reports.append(tracker.track(job))
         state = reports[-1].state
@@ -97,6 +97,17 @@ def test_smoothed_estimates_too(both):
     (_, _, alone), (_, _, whole) = both
     for a, w in zip(alone, whole, strict=True):
         assert_same(a, w)
+
+
+def test_a_known_scale_is_kept_to():
+    """Bounds beside the true scale, 24 px of the whole frame: every particle with a weight lies within them."""
+    images, sky = ([in_a_larger_frame(b, 3) for b in given] for given in (GIVEN.frames[:2], GIVEN.background))
+    camera = {"roi": ROI, "binning": BINNING}
+    _, reports, _ = track(images, sky, camera, (26.0, 27.0))
+    for report in reports:
+        assert 26.0 <= report.estimate.best.scale <= 27.0
+        scales = BINNING * np.exp(report.state.poses.log_scale[report.state.log_weights > -100])
+        assert scales.min() >= 26.0 - 1e-9 and scales.max() <= 27.0 + 1e-9
 
 
 def test_frames_of_another_size_are_refused_although_the_region_lies_in_them():
