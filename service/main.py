@@ -39,6 +39,7 @@ from service.sessions.batch import Batches
 from service.sessions.checkpoint import Checkpoints
 from service.sessions.hub import Hub
 from service.sessions.library import Library
+from service.sessions.line import Line
 from service.sessions.registry import Registry
 from service.sessions.session import Rooms
 from service.sessions.status import Status
@@ -101,7 +102,8 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
     retention = Retention(settings.keep_frame_bodies, settings.keep_particle_sets, settings.keep_particle_every)
     quotas = Quotas(settings.quota_sessions, settings.quota_models, settings.quota_particles)
     library = Library(database, engine, quotas)
-    rooms = Rooms(engine, inspector, database, hub, metrics, retention, settings.session_inbox_frames)
+    line = Line(settings.session_inbox_frames, settings.max_waiting_frames)
+    rooms = Rooms(engine, inspector, database, hub, metrics, retention, line)
     registry = Registry(
         rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions, quotas=quotas
     )

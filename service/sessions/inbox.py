@@ -13,12 +13,12 @@ import structlog
 
 from service.errors import (
     BusyError,
-    InboxFullError,
     SkyposeError,
     StaleOwnerError,
     StoppingError,
     StorageError,
 )
+from service.sessions.line import Line
 
 log = structlog.get_logger(__name__)
 R = TypeVar("R")
@@ -35,11 +35,11 @@ class _Item:
 class Inbox:
     """A bounded queue and the task that empties it."""
 
-    def __init__(self, name: str, limit: int, waited: Callable[[float], None]) -> None:
+    def __init__(self, name: str, line: Line, waited: Callable[[float], None]) -> None:
         self.retired = False  # the owner's memory may no longer be the truth: restore it from the store
         self.used_at = time.monotonic()
         self._name = name
-        self._limit = limit
+        self._line = line
         self._waited = waited
         self._items: asyncio.Queue[_Item | None] = asyncio.Queue()
         self._in_hand = False
@@ -57,13 +57,8 @@ class Inbox:
         return self._items.qsize() + self._in_hand
 
     def require_room(self) -> None:
-        """Raise ``InboxFullError`` where one more call would be refused."""
-        if self._items.qsize() >= self._limit:
-            raise InboxFullError(
-                f"{self._limit} frames of this session are waiting",
-                limit=self._limit,
-                setting="SKYPOSE_SESSION_INBOX_FRAMES",
-            )
+        """Raise ``InboxFullError`` or ``BusyError`` where one more call would be refused."""
+        self._line.require_room(self._items.qsize())
 
     def put(self, run: Callable[[], Awaitable[R]]) -> asyncio.Future[R]:
         """Queue a call; the future holds its result."""
@@ -74,6 +69,7 @@ class Inbox:
         answer: asyncio.Future[R] = asyncio.get_running_loop().create_future()
         context = structlog.contextvars.get_contextvars()
         self._items.put_nowait(_Item(run, answer, time.monotonic(), context))
+        self._line.size += 1
         return answer
 
     async def close(self) -> None:
@@ -90,6 +86,7 @@ class Inbox:
             with structlog.contextvars.bound_contextvars(**item.log_context, session_id=self._name):
                 await self._answer(item)
             self._in_hand = False
+            self._line.size -= 1
             self.used_at = time.monotonic()
 
     async def _answer(self, item: _Item) -> None:

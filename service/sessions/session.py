@@ -31,6 +31,7 @@ from service.sessions.frame import (
 )
 from service.sessions.hub import Hub
 from service.sessions.inbox import Inbox
+from service.sessions.line import Line
 from service.sessions.pointings import Pointings
 from service.sessions.ranging import Ranged, Ranging
 from service.store import frames, models, sessions
@@ -54,7 +55,7 @@ class Rooms:
     hub: Hub
     metrics: Metrics
     retention: Retention
-    inbox_frames: int
+    line: Line
 
 
 class Session:
@@ -68,7 +69,7 @@ class Session:
         contenders: tuple[Contender, ...],
     ) -> None:
         self.record = record
-        self.inbox = Inbox(record.id, rooms.inbox_frames, rooms.metrics.stage_seconds.labels("wait").observe)
+        self.inbox = Inbox(record.id, rooms.line, rooms.metrics.stage_seconds.labels("wait").observe)
         self._rooms = rooms
         self._config = config
         self._contenders = contenders

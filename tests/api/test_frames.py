@@ -125,6 +125,16 @@ async def test_full_inbox_is_refused_with_retry_after(make_app):
         assert sorted(taken) == list(range(len(taken)))
 
 
+async def test_frames_of_all_sessions_together_are_bounded(make_app):
+    async with running(make_app(SlowWorker, max_waiting_frames=3)) as api:
+        sessions = [await api.ready_session() for _ in range(6)]
+        answers = await asyncio.gather(*(api.post(session_id, 1) for session_id in sessions))
+        assert sorted({answer.status_code for answer in answers}) == [200, 503]
+        refused = next(answer for answer in answers if answer.status_code == 503)
+        assert refused.json()["setting"] == "SKYPOSE_MAX_WAITING_FRAMES"
+        assert [(await api.post(session_id, 2)).status_code for session_id in sessions] == [200] * 6
+
+
 async def test_pending_bytes_are_bounded(make_app):
     async with running(make_app(SlowWorker, max_pending_mb=1, session_inbox_frames=100)) as api:
         session_id = await api.ready_session()
