@@ -33,7 +33,7 @@ from service.api.services import Services
 from service.api.submissions import Submissions
 from service.errors import StorageError
 from service.metrics import Metrics
-from service.sessions.admission import Admission
+from service.sessions.admission import Admission, Places
 from service.sessions.archive import Archive
 from service.sessions.batch import Batches
 from service.sessions.checkpoint import Checkpoints
@@ -107,7 +107,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
     registry = Registry(
         rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions, quotas=quotas
     )
-    keys, tickets = Keys(database, settings.credential_cache_s), Tickets(settings.ticket_s)
+    keys, tickets = Keys(database, settings.credential_cache_s, settings.quota_keys), Tickets(settings.ticket_s)
     return Services(
         settings=settings,
         metrics=metrics,
@@ -116,6 +116,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         library=library,
         archive=Archive(database, engine),
         checkpoints=Checkpoints(database, registry, library, engine, _check_estimate),
+        batch_places=Places(settings.max_batches, "SKYPOSE_MAX_BATCHES"),
         batches=Batches(registry, engine, inspector),
         status=Status(database, engine),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),

@@ -143,6 +143,8 @@ class Settings(BaseSettings):
     """Millions of pixels of one key's frames in a second; more are answered 429. 0: any."""
     quota_sessions: Annotated[int, Field(ge=0)] = 10_000
     """Sessions of one tenant; one more is answered 429. 0: any number."""
+    quota_keys: Annotated[int, Field(ge=0)] = 1000
+    """Keys of one tenant that are not revoked, made over REST; one more is answered 429. 0: any number."""
     quota_models: Annotated[int, Field(ge=0)] = 1000
     """Models of one tenant; one more is answered 429. 0: any number."""
     quota_particles: Annotated[int, Field(ge=0)] = 100_000_000
@@ -152,7 +154,9 @@ class Settings(BaseSettings):
     max_calls: Positive = 1024
     """Calls under way at once, streams and heavy reads apart; one more is answered 503."""
     max_heavy_reads: Positive = 32
-    """Pictures, meshes, particles, exports and checkpoints being read at once; one more is answered 503."""
+    """Pictures, meshes, particles, estimates, exports and checkpoints being read at once; one more is answered 503."""
+    max_batches: Positive = 4
+    """Files of several frames being tracked at once; one more is answered 503."""
     body_timeout_s: PositiveSeconds = 30.0
     """A client that sends nothing for so long in the middle of a body is answered 408."""
 

@@ -58,8 +58,9 @@ def is_active(record: KeyRecord, now: datetime) -> bool:
 class Keys:
     """Makes, checks and ends keys."""
 
-    def __init__(self, database: Database, cache_s: float) -> None:
+    def __init__(self, database: Database, cache_s: float, quota: int = 0) -> None:
         self._database = database
+        self._quota = quota
         self._remembered = Remembered(cache_s)
         self._used: dict[str, datetime] = {}  # noted in the store, once in a while
         self._noted: dict[str, datetime] = {}
@@ -74,9 +75,9 @@ class Keys:
         return known
 
     async def create(self, tenant: str, role: Role, name: str, days: float | None) -> tuple[KeyRecord, str]:
-        """A new key of a tenant, stored, and its text."""
+        """A new key of a tenant, stored, and its text. Raises ``QuotaExceededError``."""
         record, text = new_key(tenant, role, name, days)
-        await self._database.write(api_keys.add, record)
+        await self._database.write(api_keys.add, record, self._quota)
         return record, text
 
     async def page(self, tenant: str, after: int, limit: int) -> tuple[list[KeyRecord], int | None]:

@@ -32,11 +32,12 @@ async def stream_batch(
 async def _charged(
     services: Services, session: SessionKey, caller: Principal, answers: AsyncIterator[Answer]
 ) -> AsyncIterator[Answer]:
-    """Every frame counts as one sent singly; a debt is for the next call to wait for."""
-    async for answer in answers:
-        owner = await services.registry.get(session)
-        services.limits.take(caller, "pixels", owner.frame_pixels)
-        yield answer
+    """Every frame counts as one sent singly; a debt is for the next call to wait for. Raises ``BusyError``."""
+    with services.batch_places.take():  # all its frames are in memory, decoded, until the last is tracked
+        async for answer in answers:
+            owner = await services.registry.get(session)
+            services.limits.take(caller, "pixels", owner.frame_pixels)
+            yield answer
 
 
 async def _lines(first: Answer, answers: AsyncIterator[Answer]) -> AsyncIterator[bytes]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import structlog
 from starlette.requests import Request
@@ -13,37 +11,27 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.api.problems import problem_response
 from service.api.services import services_of
 from service.errors import BusyError, SlowBodyError
+from service.sessions.admission import Places
 from service.settings import Settings
 
 log = structlog.get_logger(__name__)
 CHUNK_BYTES = 1 << 18
 # Answers that may be many megabytes; so many at a time, and each holds its place until the client has taken it.
-_HEAVY = ("/overlay.png", "/frame.png", "/frame.fits", "/particles", "/export", "/checkpoint", "/mesh.glb")
+_HEAVY = (
+    "/overlay.png",
+    "/frame.png",
+    "/frame.fits",
+    "/particles",
+    "/estimates",
+    "/export",
+    "/checkpoint",
+    "/mesh.glb",
+)
 _STREAM = "/events"
 
 
 class StalledError(Exception):
     """The client takes nothing. Never leaves this module: there is nobody left to tell."""
-
-
-class Places:
-    """So many at once."""
-
-    def __init__(self, most: int, setting: str) -> None:
-        self._most = most
-        self._setting = setting
-        self._taken = 0
-
-    @contextmanager
-    def take(self) -> Iterator[None]:
-        """Hold a place. Raises ``BusyError`` where there is none."""
-        if self._taken >= self._most:
-            raise BusyError("too many calls of this kind are under way", limit=self._most, setting=self._setting)
-        self._taken += 1
-        try:
-            yield
-        finally:
-            self._taken -= 1
 
 
 class Flow:

@@ -16,7 +16,7 @@ from service.access.limits import Limits
 from service.access.tickets import Tickets
 from service.api.submissions import Submissions
 from service.metrics import Metrics
-from service.sessions.admission import Admission
+from service.sessions.admission import Admission, Places
 from service.sessions.archive import Archive
 from service.sessions.batch import Batches
 from service.sessions.checkpoint import Checkpoints
@@ -39,6 +39,7 @@ class Services:
     archive: Archive
     checkpoints: Checkpoints
     batches: Batches
+    batch_places: Places
     status: Status
     admission: Admission
     submissions: Submissions

@@ -1,4 +1,4 @@
-"""How many bytes of requests the service holds at once. Past that it refuses before memory grows."""
+"""How much the service takes on at once, in bytes and in calls. Past that it refuses before memory grows."""
 
 from __future__ import annotations
 
@@ -43,3 +43,23 @@ class Admission:
             yield hold
         finally:
             self.size -= hold.size
+
+
+class Places:
+    """So many at once, each held until its block ends."""
+
+    def __init__(self, most: int, setting: str) -> None:
+        self._most = most
+        self._setting = setting
+        self._taken = 0
+
+    @contextmanager
+    def take(self) -> Iterator[None]:
+        """Hold a place. Raises ``BusyError`` where there is none."""
+        if self._taken >= self._most:
+            raise BusyError("too many calls of this kind are under way", limit=self._most, setting=self._setting)
+        self._taken += 1
+        try:
+            yield
+        finally:
+            self._taken -= 1

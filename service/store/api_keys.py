@@ -6,13 +6,16 @@ from collections.abc import Mapping
 
 from sqlalchemy import Connection, func, insert, or_, select, update
 
-from service.errors import NotFoundError
+from service.errors import NotFoundError, QuotaExceededError
 from service.store.base import KeyRecord
 from service.store.tables import api_keys
 
 
-def add(connection: Connection, record: KeyRecord) -> None:
-    """Store a new key."""
+def add(connection: Connection, record: KeyRecord, quota: int = 0) -> None:
+    """Store a new key. Raises ``QuotaExceededError`` where its tenant has ``quota`` (0: any number)."""
+    query = select(func.count()).where(api_keys.c.tenant == record.tenant, api_keys.c.revoked_at.is_(None))
+    if quota and connection.execute(query).scalar_one() >= quota:
+        raise QuotaExceededError(f"{quota} keys are there", limit=quota, setting="SKYPOSE_QUOTA_KEYS")
     values = {name: getattr(record, name) for name in api_keys.columns.keys() if name != "number"}  # noqa: SIM118
     connection.execute(insert(api_keys).values(values))
 

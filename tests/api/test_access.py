@@ -3,10 +3,13 @@
 import json
 
 import httpx
+import jwt
 import pytest
 import websockets
 from api_client import Api, running
 from callers import BOOTSTRAP, guarded, guarded_server
+from cryptography.hazmat.primitives.asymmetric import ec
+from jwt.algorithms import ECAlgorithm
 
 from service.access.principal import Role
 from service.api.guard import page_policy
@@ -67,6 +70,40 @@ async def test_use_is_noted_and_the_secret_is_not_stored(make_app, tmp_path):
         folder = tmp_path / "data"
         secret = key.split("_", 2)[2].encode()
         assert not [file for file in folder.iterdir() if secret in file.read_bytes()]
+
+
+async def test_key_past_its_end_and_keys_past_the_quota(make_app, tmp_path):
+    async with guarded(make_app, tmp_path, quota_keys=2) as callers:
+        keys = callers.app.state.services.keys
+        _, ended = await keys.create("acme", Role.ADMIN, "test", 1e-9)
+        assert (await (await callers.with_token(ended)).http.get("/v1/me")).status_code == 401
+        acme = await callers.client("acme")
+        answer = await acme.http.post("/v1/keys", json={"role": "read", "name": "one more"})
+        assert (answer.status_code, answer.json()["setting"]) == (429, "SKYPOSE_QUOTA_KEYS")
+        await callers.client("other")
+
+
+async def test_token_of_an_identity_provider_is_a_tenant(make_app, tmp_path):
+    key = ec.generate_private_key(ec.SECP256R1())
+    jwks = tmp_path / "jwks.json"
+    jwks.write_text(json.dumps({"keys": [ECAlgorithm.to_jwk(key.public_key(), as_dict=True)]}))
+    provider = {"oidc_issuer": "https://id.example", "oidc_audience": "skypose", "oidc_jwks": str(jwks)}
+    claims = {
+        "iss": "https://id.example",
+        "aud": "skypose",
+        "sub": "me",
+        "exp": 2**33,
+        "tenant": "acme",
+        "role": "operate",
+    }
+    async with guarded(make_app, tmp_path, **provider) as callers:
+        person = await callers.with_token(jwt.encode(claims, key, "ES256"))
+        assert (await person.http.get("/v1/me")).json() == {"tenant": "acme", "role": "operate", "key_id": "oidc:me"}
+        session_id = await person.session()
+        assert (await (await callers.client("acme")).http.get(f"/v1/sessions/{session_id}")).status_code == 200
+        stranger = await callers.with_token(jwt.encode({**claims, "role": "cook"}, key, "ES256"))
+        answer = await stranger.http.get("/v1/sessions")
+        assert (answer.status_code, answer.json()["claim"]) == (403, "role")
 
 
 async def test_nobody_starts_where_nobody_could_get_in(make_app):
