@@ -1,8 +1,10 @@
 """What a key or a tenant may have is bounded, each refusal names its limit, and others are not touched."""
 
 import asyncio
+import io
 
 import httpx
+import numpy as np
 import pytest
 from api_client import PNG, Api, image, running, served
 from callers import guarded
@@ -79,7 +81,7 @@ async def test_calls_under_way_are_bounded(make_app):
 
 async def test_slow_sender_and_slow_reader_are_let_go(make_app):
     """Neither holds a place for good: the first is answered 408, the second cut off in the middle of a large answer."""
-    app = make_app(body_timeout_s=0.1, stream_send_timeout_s=0.2, max_heavy_reads=1)
+    app = make_app(body_timeout_s=1.0, stream_send_timeout_s=1.0, max_heavy_reads=1)
     async with served(app) as address, httpx.AsyncClient(base_url=f"http://{address}") as http:
         api = Api(http, app)
         session_id = await api.ready_session()
@@ -107,3 +109,21 @@ LARGE = 1 << 26
 
 async def large_picture(*_, **__) -> bytes:
     return bytes(LARGE)
+
+
+async def test_files_of_several_frames_take_turns(make_app):
+    """They are large in memory: past the limit 503, and the place is free again when the last frame is tracked."""
+    async with running(make_app(SlowWorker, max_batches=1)) as api:
+        file = io.BytesIO()
+        np.save(file, np.zeros((3, 16, 16), np.uint8))
+        sessions = [await api.ready_session() for _ in range(2)]
+        answers = await asyncio.gather(*(post_file(api, session_id, file.getvalue()) for session_id in sessions))
+        by_status = sorted(answers, key=lambda answer: answer.status_code)
+        assert by_status[0].text.count("\n") == 3
+        limit_named(by_status[1], "SKYPOSE_MAX_BATCHES", "busy", 503)
+        assert (await post_file(api, sessions[0], file.getvalue())).status_code == 200
+
+
+async def post_file(api: Api, session_id: str, body: bytes) -> httpx.Response:
+    headers = {"Content-Type": "application/x-npy"}
+    return await api.http.post(f"/v1/sessions/{session_id}/frames", content=body, headers=headers)
