@@ -29,10 +29,10 @@ def browser() -> Iterator[Browser]:
         browser.close()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The service over the fake worker."""
-    found = Server(tmp_path_factory.mktemp("page") / "data", "fake_worker:FakeWorker", stream_heartbeat_s=0.3)
+    """The service over the fake worker, one for all files: a test makes its own sessions."""
+    found = Server(tmp_path_factory.mktemp("page") / "data", "fake_worker:FakeWorker")
     found.start()
     yield found
     found.stop()

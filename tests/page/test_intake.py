@@ -59,7 +59,7 @@ def test_a_folder_is_dropped_on_the_page(server, open_page, tmp_path):
         for n in range(count):
             (tmp_path / "pass" / folder / f"{n}.png").write_bytes(b"x")
     page = open_page(server.url)
-    expect(page.locator("#welcome")).to_be_visible()
+    expect(page.locator("#link .text")).not_to_have_text("connecting")
     session = page.context.new_cdp_session(page)
     data = {"items": [], "files": [str(tmp_path / "pass")], "dragOperationsMask": 1}
     for kind in ("dragEnter", "dragOver", "dragOver", "drop"):

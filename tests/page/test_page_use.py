@@ -26,7 +26,7 @@ def sessions(server):
     return ids
 
 
-@pytest.mark.parametrize("width", [1280, 390, 320])
+@pytest.mark.parametrize("width", [1280, 820, 390, 320])
 def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessions, open_page, width):
     page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=844)
     shows(page, FRAMES - 1)

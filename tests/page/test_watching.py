@@ -9,9 +9,19 @@ import httpx
 import pytest
 from passes import PNG, begin, fake_pass
 from playwright.sync_api import expect
+from server_process import Server
 from watching import is_live, is_stale, open_session, picture_shows, shown, shows
 
 RATE_HZ, SECONDS = 30, 4
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    """One of our own: it is killed, stopped and silenced."""
+    found = Server(tmp_path_factory.mktemp("watched") / "data", "fake_worker:FakeWorker", stream_heartbeat_s=0.3)
+    found.start()
+    yield found
+    found.stop()
 
 
 @pytest.fixture

@@ -42,6 +42,7 @@ export class Watch {
   async begin(session, mine) {
     this.modelId = null;
     await this.setModel(session.model_id ?? session.model_ids[0]);
+    for (const id of session.model_ids ?? []) this.learnName(id).catch(tellProblem);
     const now = await this.api.json(`/v1/sessions/${session.session_id}`); // its last_seq, before its history is read
     await mine.load(now.frames);
     if (this.history !== mine) return;
@@ -183,6 +184,10 @@ export class Watch {
     this.kinds = Object.fromEntries(body.model.joints.map((joint) => [joint.name, joint.kind]));
     for (const view of ["frame", "model", "cloud"]) this.views[view].setBody(body);
     this.views.heading.setModel(body.model);
+  }
+
+  async learnName(id) {
+    this.names.set(id, (await this.api.json(`/v1/models/${id}`)).name);
   }
 
   // A fresh look at the session from the list.
