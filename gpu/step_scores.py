@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gpu.auto import AutoScorer
 from gpu.device import DeviceReport, open_device
 from gpu.outline import OutlineScorer
-from gpu.program import constant
+from gpu.program import constant, device_errors
 from gpu.scorer import Scorer
 
 TRANSFORM_BYTES = 48
@@ -45,7 +45,8 @@ class HostCopies:
 
     def __init__(self, scorer: Scorer, report: DeviceReport) -> None:
         self.name = f"{scorer.name} by host copies"
-        self.queue = cl.CommandQueue(cl.Context([open_device(report)]))
+        with device_errors(self.name):
+            self.queue = cl.CommandQueue(cl.Context([open_device(report)]))
         self._scorer = scorer
 
     def score_buffer(self, transforms: cl.Buffer, n: int, log_ratio: NDArray[np.float32]) -> tuple[cl.Buffer, float]:
