@@ -9,7 +9,7 @@ from pathlib import Path
 
 import structlog
 from starlette.datastructures import MutableHeaders
-from starlette.requests import Request
+from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.access.audit import Entry
@@ -55,15 +55,15 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on, with the headers on the answer."""
-        if scope["type"] != "http":
+        if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
         policy = self._pages.get(scope["path"], _API_POLICY)
-        status = 500
+        status = 500 if scope["type"] == "http" else 101
 
         async def marked(message: Message) -> None:
             nonlocal status
-            if message["type"] == "http.response.start":
+            if message["type"] in ("http.response.start", "websocket.http.response.start"):
                 status = message["status"]
                 _mark(MutableHeaders(scope=message), policy, private=scope["path"].startswith("/v1/"))
             await send(message)
@@ -71,7 +71,7 @@ class Guard:
         try:
             await self._app(scope, receive, marked)
         finally:
-            _audit(services_of(Request(scope)), scope, status)
+            _audit(services_of(HTTPConnection(scope)), scope, status)
 
 
 def _mark(headers: MutableHeaders, policy: str, *, private: bool) -> None:
@@ -87,7 +87,8 @@ def _audit(services: Services, scope: Scope, status: int) -> None:
     route = getattr(scope.get("route"), "path", "")
     if not route.startswith(("/v1/", "/metrics")):
         return
-    reads = scope["method"] in ("GET", "HEAD", "OPTIONS")
+    method = scope.get("method", "WS")
+    reads = method in ("GET", "HEAD", "OPTIONS", "WS")
     changes = not reads and not route.endswith(_NOT_AUDITED)
     if not (changes or status in _CREDENTIAL_STATUSES or (reads and route.endswith(_AUDITED_READS))):
         return
@@ -97,7 +98,7 @@ def _audit(services: Services, scope: Scope, status: int) -> None:
             tenant="default" if caller is None else caller.tenant,
             actor="-" if caller is None else caller.key_id,
             address=(scope.get("client") or ("-",))[0],
-            action=f"{scope['method']} {route}",
+            action=f"{method} {route}",
             target=" ".join(str(value) for value in scope.get("path_params", {}).values()),
             outcome=status,
             request_id=str(structlog.contextvars.get_contextvars().get("request_id", "")),

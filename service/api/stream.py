@@ -22,6 +22,7 @@ from service.sessions.hub import Message
 
 log = structlog.get_logger(__name__)
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["stream"])
+_LAST = {"type": "http.response.body", "body": b"", "more_body": False}
 CLOSE_NORMAL, CLOSE_GOING_AWAY, CLOSE_POLICY, CLOSE_TRY_AGAIN = 1000, 1001, 1008, 1013
 
 
@@ -61,6 +62,7 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
                 _until_ended(websocket, services, caller),
             )
     except SkyposeError as error:
+        services.metrics.refusals.labels(error.slug).inc()
         if websocket.application_state is WebSocketState.CONNECTING:
             await websocket.send_denial_response(problem_response(error))
         else:
@@ -102,8 +104,11 @@ class EventStream(Response):
         """Send the head, then every message."""
         async with self._services.hub.watch(self._session, self._after) as messages:
             await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
-            ended = self._services.gate.until_ended(self._caller)
-            await _first(self._send_all(messages, send), _until_disconnected(receive), ended)
+            await _first(self._send_all(messages, send), _until_disconnected(receive), self._until_ended(send))
+
+    async def _until_ended(self, send: Send) -> None:
+        await self._services.gate.until_ended(self._caller)
+        await send(_LAST)
 
     async def _send_all(self, messages: AsyncGenerator[Message], send: Send) -> None:
         timeout_s = self._services.settings.stream_send_timeout_s
@@ -111,7 +116,7 @@ class EventStream(Response):
             head = f"id: {message.seq}\nevent: {message.type}\ndata: ".encode()
             body = head + message_json(message) + b"\n\n"
             await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), timeout_s)
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
+        await send(_LAST)
 
 
 async def _until_disconnected(receive: Receive) -> None:

@@ -244,6 +244,11 @@ class TestStreams:
                 async with httpx.AsyncClient() as http:
                     answer = await http.get(f"http:{url}/events{query}", headers=headers)
                 assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
+            await callers.app.state.services.audit.store(final=True)
+            root = await callers.with_token(BOOTSTRAP)
+            actions = [entry["action"] for entry in (await root.http.get("/v1/audit")).json()["entries"]]
+            stream = "/v1/sessions/{session_id}/"
+            assert sorted(set(actions)) == [f"GET {stream}events", f"WS {stream}stream"]
 
     async def test_ticket_opens_one_stream(self, make_app, tmp_path):
         async with guarded_server(make_app, tmp_path) as callers:
@@ -271,6 +276,18 @@ class TestStreams:
                 with pytest.raises(websockets.ConnectionClosed) as closed:
                     await socket.recv()
                 assert closed.value.rcvd.code == 1008
+
+    async def test_event_stream_ends_with_its_key(self, make_app, tmp_path):
+        async with guarded_server(make_app, tmp_path, credential_cache_s=0) as callers:
+            acme, reader = await callers.client("acme"), await callers.client("acme", "read")
+            session_id = await acme.session()
+            ticket = (await reader.http.post("/v1/tickets")).json()["ticket"]
+            url = f"http://{callers.address}/v1/sessions/{session_id}/events?ticket={ticket}"
+            async with httpx.AsyncClient(timeout=30) as http, http.stream("GET", url) as answer:
+                assert answer.status_code == 200
+                key_id = (await reader.http.get("/v1/me")).json()["key_id"]
+                await acme.http.delete(f"/v1/keys/{key_id}")
+                assert await answer.aread() == b""  # complete, not cut off
 
 
 async def test_streams_of_one_tenant_leave_room_for_others(make_app, tmp_path):
