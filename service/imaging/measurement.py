@@ -14,6 +14,7 @@ out).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,10 +22,12 @@ from numpy.typing import NDArray
 
 from service.imaging.background import Sky
 from service.imaging.features import feature_bins
+from service.imaging.halo import veil
 from service.imaging.psf import estimate_psf_sigma
 
 _DEFAULT_PSF_SIGMA_PX = 1.0
 _DETECTION_SIGMA = 4.0  # of smoothed noise: fainter light is no evidence
+_STRONG_SIGMA = 5.0  # light around which an edge can be placed; fainter light is judged by neighbourhoods
 _LEVEL_ROUNDS = 8
 _LEVEL_PIXELS = 100  # fewer that look like sky tell nothing of its level
 _FAINT_SIGMA_PX = 2.0
@@ -130,19 +133,30 @@ def contrast_log_ratio(
     uncovered_bright_nats: float,
 ) -> NDArray[np.float32]:
     """(H, W) bounded log-ratio that changes sign where the light is half of its local maximum."""
+    reach = 2 * int(np.ceil(2.5 * psf_sigma_px)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+    sharp, significance = half_level(residual, sky, psf_sigma_px, disc)
+    light = (sharp > 0) & (significance > _STRONG_SIGMA)
+    near_light = cv2.dilate(light.astype(np.uint8), disc) > 0
+    clear = residual - veil(residual, sky, light, near_light, psf_sigma_px)
+    faint = np.minimum(faint_light(clear, sky, near_light), _FAINT_NATS)
+    far = np.maximum(half_level(clear, sky, psf_sigma_px, disc)[0], faint)
+    log_ratio = np.where(near_light, sharp, far)
+    return np.asarray(np.clip(log_ratio, -covered_empty_nats, uncovered_bright_nats), dtype=np.float32)
+
+
+def half_level(
+    residual: NDArray[np.float32], sky: Sky, psf_sigma_px: float, disc: NDArray[Any]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(H, W) distance of each pixel from half of the light within ``disc`` around it, in units of an edge's softness;
+    and its brightness in units of its noise."""
     smooth = max(0.5, 0.7 * psf_sigma_px)
     s = contrast(residual, sky, smooth)
     noise = float(np.sqrt(residual.shape[2] / np.pi) / (2 * smooth))  # of a pixel after the Gaussian
-    reach = 2 * int(np.ceil(2.5 * psf_sigma_px)) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     bright = cv2.GaussianBlur(cv2.dilate(s, disc), (0, 0), max(psf_sigma_px, 0.5))
     threshold = np.maximum(_HALF * bright, _DETECTION_SIGMA * noise)
     softness = np.maximum(0.075 * bright, 0.75 * noise)
-    sharp = (s - threshold) / softness
-    near_light = cv2.dilate((sharp > 0).astype(np.uint8), disc) > 0
-    faint = np.minimum(faint_light(residual, sky, near_light), _FAINT_NATS)
-    log_ratio = np.where(near_light, sharp, np.maximum(sharp, faint))
-    return np.asarray(np.clip(log_ratio, -covered_empty_nats, uncovered_bright_nats), dtype=np.float32)
+    return np.asarray((s - threshold) / softness, dtype=np.float32), np.asarray(s / noise, dtype=np.float32)
 
 
 def faint_light(residual: NDArray[np.float32], sky: Sky, near_light: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -156,5 +170,10 @@ def faint_light(residual: NDArray[np.float32], sky: Sky, near_light: NDArray[np.
     z = total / sky.sigma / np.sqrt(np.maximum(variance, 1e-6))[..., None]
     z = z / np.maximum(1.0, 1.4826 * np.median(np.abs(z), axis=(0, 1)))  # the sky's own structure is noise too
     significance = np.sqrt(np.sum(z * z, axis=2))
-    evidence = (significance - _FAINT_DETECTION) / 1.5
+    reach = 2 * int(np.ceil(2.5 * _FAINT_SIGMA_PX)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+    seen = np.where(weight > 0, significance, 0.0).astype(np.float32)
+    bright = cv2.GaussianBlur(cv2.dilate(seen, disc), (0, 0), _FAINT_SIGMA_PX)
+    threshold = np.maximum(_FAINT_DETECTION, _HALF * bright)
+    evidence = (significance - threshold) / np.maximum(1.5, 0.15 * bright)
     return np.asarray(np.where((share > 0.2) & (weight > 0), evidence, -np.inf), dtype=np.float32)

@@ -10,7 +10,7 @@ particles: no random walk has to find its way, and the weights' mean is the mode
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,7 @@ class Draws:
     log_likelihood: Array
     log_weights: Array  # (N,) not normalised: their sum is the evidence
     memory: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)  # what the next frame should know
+    reference: float | None = None  # log likelihood to which modes were evened out
 
 
 def join(a: Draws, b: Draws) -> Draws:
@@ -64,6 +65,7 @@ def join(a: Draws, b: Draws) -> Draws:
         np.concatenate([a.log_likelihood, b.log_likelihood]),
         np.concatenate([a.log_weights, b.log_weights]),
         a.memory,
+        a.reference,
     )
 
 
@@ -110,25 +112,34 @@ class Proposal:
     factor: Array  # (d, d) Cholesky factor
 
 
-def adapt(rng: np.random.Generator, part: Component, score: Score, exponent: float) -> tuple[Proposal, float]:
-    """Move the proposal from the prediction onto the posterior; also the log evidence as the last round sees it.
+@dataclass(frozen=True)
+class Adapted:
+    """A proposal that has found the posterior."""
+
+    proposal: Proposal
+    log_evidence: float  # as the last round of draws sees it
+    peak: float  # greatest log likelihood met
+
+
+def adapt(rng: np.random.Generator, part: Component, score: Score, exponent: float) -> Adapted:
+    """Move the proposal from the prediction onto the posterior.
 
     Where tempering comes to a halt, because nearly all of the prediction scores alike and the peak is a needle in it,
     the best draws of some rounds lead to the peak by their ranks alone (a cross-entropy search), and it starts anew.
     """
     prior = prediction(part)
-    proposal, log_evidence, done = temper_proposal(rng, part, score, exponent, prior)
+    adapted, done = temper_proposal(rng, part, score, exponent, prior)
     if not done:
-        proposal = climb(rng, part, score, exponent, proposal)
-        proposal, log_evidence, _ = temper_proposal(rng, part, score, exponent, proposal)
-    return proposal, log_evidence
+        proposal = climb(rng, part, score, exponent, adapted.proposal)
+        adapted, _ = temper_proposal(rng, part, score, exponent, proposal)
+    return adapted
 
 
 def temper_proposal(
     rng: np.random.Generator, part: Component, score: Score, exponent: float, proposal: Proposal
-) -> tuple[Proposal, float, bool]:
+) -> tuple[Adapted, bool]:
     """Rounds of draws with a rising exponent; whether the full one was reached."""
-    prior, log_evidence, previous = prediction(part), 0.0, 0.0
+    prior, previous, adapted = prediction(part), 0.0, Adapted(proposal, 0.0, -np.inf)
     for _ in range(MOST_ROUNDS):
         x, log_likelihood = try_out(rng, part, score, proposal)
         base = log_density(prior, x) - log_density(proposal, x)
@@ -140,10 +151,11 @@ def temper_proposal(
         # Few effective draws underestimate the width in some direction: keep a little of the old one.
         covariance += 0.05 * proposal.factor @ proposal.factor.T + 1e-9 * part.covariance
         proposal = Proposal(mean, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+        adapted = Adapted(proposal, log_evidence, max(adapted.peak, float(log_likelihood.max())))
         if beta >= exponent and previous >= exponent:
-            return proposal, log_evidence, True
+            return adapted, True
         previous = beta
-    return proposal, log_evidence, False
+    return adapted, False
 
 
 def try_out(rng: np.random.Generator, part: Component, score: Score, proposal: Proposal) -> tuple[Array, Array]:
@@ -223,14 +235,31 @@ def log_t_constant(d: int) -> float:
     return float(gammaln(0.5 * (TAIL + d)) - gammaln(0.5 * TAIL) - 0.5 * d * np.log(TAIL / 2))
 
 
-def posterior(rng: np.random.Generator, parts: Sequence[Component], score: Score, exponent: float, count: int) -> Draws:
-    """``count`` weighted particles over all modes, shared out by the modes' evidence."""
+def posterior(
+    rng: np.random.Generator,
+    parts: Sequence[Component],
+    score: Score,
+    exponent: float,
+    count: int,
+    between: float | None = None,
+    reference: float | None = None,
+) -> Draws:
+    """``count`` weighted particles over all modes, shared out by the modes' evidence.
+
+    Within a mode the likelihood counts with the power ``exponent``, from mode to mode with ``between`` (the same by
+    default): nearby poses share what the model gets wrong, shadow and glare, and far ones do not. With a mode's peak
+    L_k and ``reference`` L_0 (by default the highest peak) a pose has the weight (L / L_k)^exponent (L_k / L_0)^between
+    L_0^exponent.
+    """
     adapted = [adapt(rng, part, score, exponent) for part in parts]
-    log_shares = np.array([part.log_weight + evidence for part, (_, evidence) in zip(parts, adapted, strict=True)])
+    peaks = np.array([a.peak for a in adapted])
+    reference = float(peaks.max()) if reference is None else reference
+    even = (exponent - (exponent if between is None else between)) * (reference - peaks)
+    log_shares = even + [part.log_weight + a.log_evidence for part, a in zip(parts, adapted, strict=True)]
     counts = share_out(np.exp(log_shares - log_sum_exp(log_shares)), count)
     draws = [
-        draw(rng, part, proposal, score, exponent, int(n))
-        for part, (proposal, _), n in zip(parts, adapted, counts, strict=True)
+        draw(rng, replace(part, log_weight=part.log_weight + float(more)), a.proposal, score, exponent, int(n))
+        for part, a, more, n in zip(parts, adapted, even, counts, strict=True)
         if n > 0
     ]
     return Draws(
@@ -239,18 +268,17 @@ def posterior(rng: np.random.Generator, parts: Sequence[Component], score: Score
         np.concatenate([d.log_likelihood for d in draws]),
         np.concatenate([d.log_weights for d in draws]),
         {"surprise": surprise_of(parts, adapted, log_shares)},
+        reference,
     )
 
 
-def surprise_of(
-    parts: Sequence[Component], adapted: Sequence[tuple[Proposal, float]], log_shares: Array
-) -> NDArray[np.float64]:
+def surprise_of(parts: Sequence[Component], adapted: Sequence[Adapted], log_shares: Array) -> NDArray[np.float64]:
     """How far the heaviest mode ended from its prediction: mean square per coordinate, in predicted variances.
 
     Doubled, because the frame and the prediction decide about half each: 1 is what is to be expected.
     """
     top = int(np.argmax(log_shares))
-    z = np.linalg.solve(prediction(parts[top]).factor, adapted[top][0].mean)
+    z = np.linalg.solve(prediction(parts[top]).factor, adapted[top].proposal.mean)
     return np.asarray(2.0 * np.mean(z * z), dtype=np.float64)
 
 

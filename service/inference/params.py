@@ -45,6 +45,9 @@ class FilterParams:
     fails. `outline`: the same on the first device, or not at all. `opengl`: drawn by OpenGL, summed by OpenCL (the
     paper's GPU row). `cpu`, `cpu-mt`: filled on one core, on all (its other rows). `reference`: NumPy, slow. All give
     the same sums, `opengl` but for pixels along the edge."""
+    prefer: Literal["likelihood", "weight", "continuity"] = "likelihood"
+    """Which mode `best` is taken from: the one with the particle of highest likelihood of this frame, the heaviest, or
+    the one nearest to where the last `best` should be by its rates. No mode is dropped for it. Not for `bootstrap`."""
     step: Literal["auto", "host", "device"] = "auto"
     """`bootstrap`: where particles are drawn, moved and scored. `device`: on the scorer's, with random numbers of its
     own (the same law, other draws than `host`; the first frame is the host's). `auto`: there where it pays, which is
@@ -79,6 +82,9 @@ class LikelihoodParams:
     """Scale of the derivative image for `gradient`."""
     exponent: float = 0.07
     """Power of the likelihood: neighbouring pixels are not independent. 1 is the paper's product over pixels."""
+    mode_exponent: float = 0.03
+    """`importance`: the same from one mode to another, where it is less than `exponent`. Nearby poses share what the
+    map gets wrong about shadow and glare; far ones do not, and no frame alone may decide between them."""
     covered_empty_nats: float = 1.0
     """`contrast`: price of one pixel of background under the silhouette."""
     uncovered_bright_nats: float = 3.0
@@ -87,6 +93,7 @@ class LikelihoodParams:
     def __post_init__(self) -> None:
         _require(0.1 <= self.gradient_sigma_px <= 50, "gradient_sigma_px must be between 0.1 and 50")
         _require(0 < self.exponent <= 1, "exponent must lie in (0, 1]")
+        _require(0 < self.mode_exponent <= 1, "mode_exponent must lie in (0, 1]")
         _require(0 < self.covered_empty_nats <= 100, "covered_empty_nats must lie in (0, 100]")
         _require(0 < self.uncovered_bright_nats <= 100, "uncovered_bright_nats must lie in (0, 100]")
 

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.islands import Islands, refine
 from service.inference.mixture import Draws
-from service.inference.modes import distance, short_way
+from service.inference.modes import cluster, distance, short_way
+from service.inference.motion import carry_on
 from service.inference.pose import local
 from service.inference.state import Poses
 from service.inference.symmetry import Symmetry, twin, twin_rates
 from service.inference.update import Update
 from service.inference.weights import normalise
 
+Memory = Mapping[str, NDArray[np.generic]]
+
 SHARPEN_ROUNDS, SHARPEN_DRAWS = 8, 24
 BEST_FIT_ROUNDS, BEST_FIT_DRAWS = 10, 40
+LEAST_SHARE = 0.1  # of the posterior, that a mode must hold to be preferred for its continuity
 TWIN_NATS = 1.0  # by which another twin must explain the frame better before the filter changes sides
 
 
 def sharpen(update: Update, draws: Draws) -> tuple[Poses, float]:
-    """The pose of highest likelihood near the best particle: a cross-entropy search from there."""
-    return _climb(update, draws, 0.25, SHARPEN_ROUNDS, SHARPEN_DRAWS)
+    """The pose of highest likelihood near the best particle of the preferred mode: a cross-entropy search."""
+    top = int(np.argmax(np.where(_preferred(update, draws), draws.log_likelihood, -np.inf)))
+    return _climb(update, draws, top, 0.25, SHARPEN_ROUNDS, SHARPEN_DRAWS)
 
 
 def likeliest_twin(update: Update, draws: Draws) -> Draws:
@@ -35,7 +42,10 @@ def likeliest_twin(update: Update, draws: Draws) -> Draws:
         return draws
     exponent = update.config.likelihood.exponent
     sides = [draws, *(_through(update, draws, symmetry) for symmetry in update.twins)]
-    peaks = np.array([_climb(update, side, 1.0, BEST_FIT_ROUNDS, BEST_FIT_DRAWS)[1] for side in sides])
+    tops = [int(np.argmax(side.log_likelihood)) for side in sides]
+    rounds, per_round = BEST_FIT_ROUNDS, BEST_FIT_DRAWS
+    fits = [_climb(update, side, top, 1.0, rounds, per_round) for side, top in zip(sides, tops, strict=True)]
+    peaks = np.array([log_likelihood for _, log_likelihood in fits])
     top = int(np.argmax(peaks))
     return sides[top] if exponent * (peaks[top] - peaks[0]) > TWIN_NATS else draws
 
@@ -49,9 +59,42 @@ def _through(update: Update, draws: Draws, symmetry: Symmetry) -> Draws:
     return replace(draws, poses=poses, rates=rates, log_likelihood=log_likelihood, log_weights=draws.log_weights + gain)
 
 
-def _climb(update: Update, draws: Draws, widen: float, rounds: int, per_round: int) -> tuple[Poses, float]:
-    """A cross-entropy search from the best particle, ``widen`` times as wide as those around it have variance."""
-    top = int(np.argmax(draws.log_likelihood))
+def heading(update: Update, draws: Draws, best: Poses) -> Memory:
+    """What the next frame must know to prefer the mode that goes on where ``best`` was going."""
+    if update.config.filter.prefer != "continuity":
+        return {}
+    near = np.flatnonzero(distance(draws.poses, best, update.metric) <= 1.0)
+    weights = np.exp(normalise(draws.log_weights[near])[0])
+    return {
+        "heading_quaternion": best.quaternion,
+        "heading_position": best.position,
+        "heading_log_scale": best.log_scale,
+        "heading_joints": best.joints,
+        "heading_rate": weights @ draws.rates[near],
+    }
+
+
+def _preferred(update: Update, draws: Draws) -> NDArray[np.bool_]:
+    """(N,) particles of the mode that ``best`` is to be taken from."""
+    everybody = np.ones(len(draws.poses), dtype=bool)
+    rule = update.config.filter.prefer
+    if rule == "likelihood":
+        return everybody
+    labels = cluster(draws.poses, draws.log_likelihood, update.metric)
+    share = np.bincount(labels, weights=np.exp(normalise(draws.log_weights)[0]))
+    heaviest = np.asarray(labels == int(np.argmax(share)))
+    if rule == "weight" or update.state is None or "heading_rate" not in update.state.memory:
+        return heaviest
+    names = ("quaternion", "position", "log_scale", "joints")
+    last = Poses(*(update.recall(f"heading_{name}", 0.0) for name in names))
+    expected = carry_on(last, update.recall("heading_rate", 0.0)[None], update.dt_s)
+    gap = np.where(share[labels] >= LEAST_SHARE, distance(draws.poses, expected, update.metric), np.inf)
+    nearest = int(np.argmin(gap))
+    return np.asarray(labels == labels[nearest]) if gap[nearest] <= 1.0 else heaviest
+
+
+def _climb(update: Update, draws: Draws, top: int, widen: float, rounds: int, per_round: int) -> tuple[Poses, float]:
+    """A cross-entropy search from particle ``top``, ``widen`` times as wide in variance as those around it."""
     best = draws.poses[top : top + 1]
     near = np.flatnonzero(distance(draws.poses, best, update.metric) <= 1.0)
     weights = np.exp(normalise(draws.log_weights[near])[0])

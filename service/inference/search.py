@@ -15,7 +15,7 @@ from service.inference.update import Update
 STAGES = ((64, 4, 24), (16, 5, 40), (6, 6, 60))  # islands, rounds, draws per round
 GLANCE = ((20, 4, 24), (8, 4, 40), (4, 5, 50))  # the same beside an established track
 GLANCE_SHARE = 0.25  # of the starts
-IN_PLAY_NATS = 12.0  # a basin whose peak lies further below the best, after the exponent, gets no particles
+IN_PLAY_NATS = 6.0  # a basin whose peak lies further below the best, after the exponent, gets no particles
 
 
 def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = None, glance: bool = False) -> Islands:
@@ -37,7 +37,7 @@ def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = No
     near = islands.best[top : top + 1] if anchor is None else anchor
     folded, _ = fold(islands.best, np.zeros((len(islands), domain.n_tangent)), update.twins, domain, near)
     islands = strongest(Islands(folded, islands.log_likelihood, islands.mean, islands.covariance), metric, len(islands))
-    exponent = update.config.likelihood.exponent
+    exponent = min(update.config.likelihood.exponent, update.config.likelihood.mode_exponent)
     in_play = exponent * (islands.log_likelihood - islands.log_likelihood.max()) > -IN_PLAY_NATS
     return islands[np.flatnonzero(in_play)]
 

@@ -15,7 +15,7 @@ from service.inference.mixture import Component, Draws, component, join, posteri
 from service.inference.modes import cluster, distance
 from service.inference.motion import carry_on
 from service.inference.params import SessionConfig
-from service.inference.peak import likeliest_twin, sharpen
+from service.inference.peak import heading, likeliest_twin, sharpen
 from service.inference.pose import retract
 from service.inference.resample import RESAMPLERS
 from service.inference.search import island_components, log_occam, search_islands, search_reach
@@ -30,6 +30,7 @@ SUPPORT_DROP = 0.6  # of the track's own usual support; below it the whole space
 FADE = 0.85  # of the running averages, per frame
 RENEW_FRAMES = 10  # a track is held against a search of the whole space this often
 MOST_MODES = 8
+BETWEEN = 0.07
 LEAST_MODE = 1e-4  # a mode that holds less is not followed
 NEWCOMER = 0.01  # prior weight of what a renewed search finds beside a track
 
@@ -75,10 +76,10 @@ def follow(update: Update) -> Draws:
     return replace(draws, memory={"surprise": np.asarray(seen)})
 
 
-def mixture_posterior(update: Update, parts: list[Component]) -> Draws:
+def mixture_posterior(update: Update, parts: list[Component], reference: float | None = None) -> Draws:
     """Weighted particles of the modes ``parts`` under this frame."""
-    config = update.config
-    return posterior(update.rng, parts, update.score, config.likelihood.exponent, config.filter.particles)
+    likelihood, count = update.config.likelihood, update.config.filter.particles
+    return posterior(update.rng, parts, update.score, likelihood.exponent, count, BETWEEN, reference)
 
 
 def predicted_components(update: Update) -> list[Component]:
@@ -121,7 +122,9 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None, glance: bo
         return tracked
     elsewhere = islands[np.flatnonzero(away)]
     even = even_start(update)
-    found = mixture_posterior(update, island_components(update, elsewhere, float(np.log(NEWCOMER)) + even))
+    found = mixture_posterior(
+        update, island_components(update, elsewhere, float(np.log(NEWCOMER)) + even), tracked.reference
+    )
     both = join(tracked, found)
     pick = RESAMPLERS[update.config.filter.resampler](
         update.rng, normalise(both.log_weights)[0], update.config.filter.particles
@@ -132,7 +135,8 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None, glance: bo
         normalise(found.log_weights)[1] - even + log_occam(update, len(elsewhere)),
     )
     total = float(np.logaddexp(known, new)) - float(np.log(len(pick)))
-    return Draws(both.poses[pick], both.rates[pick], both.log_likelihood[pick], np.full(len(pick), total))
+    equal = np.full(len(pick), total)
+    return Draws(both.poses[pick], both.rates[pick], both.log_likelihood[pick], equal, reference=tracked.reference)
 
 
 def even_start(update: Update) -> float:
@@ -194,4 +198,5 @@ def conclude(update: Update, draws: Draws) -> Outcome:
     log_weights, log_evidence = normalise(draws.log_weights)
     poses = update.domain.wrap(draws.poses)
     best = sharpen(update, draws)
+    memory.update(heading(update, draws, best[0]))
     return Outcome(poses, log_weights, draws.log_likelihood, draws.rates, status, log_evidence, memory, best)

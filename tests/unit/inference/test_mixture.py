@@ -1,5 +1,7 @@
 """The pieces of the mixture posterior, each against what it must be by hand or by another program."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -148,8 +150,10 @@ def test_one_particle_makes_a_component_too():
 
 def test_a_proposal_that_has_nothing_to_learn_stays_about_where_it_is():
     """Flat likelihood: evidence 1, the mean near the prediction's, no direction lost."""
-    proposal, log_evidence = adapt(philox(4), wide(), flat, 1.0)
-    assert log_evidence == pytest.approx(0, abs=0.3)
+    adapted = adapt(philox(4), wide(), flat, 1.0)
+    proposal = adapted.proposal
+    assert adapted.peak == 0.0
+    assert adapted.log_evidence == pytest.approx(0, abs=0.3)
     assert np.all(np.abs(proposal.mean) < 0.5 * DEVIATION)
     ratio = np.linalg.eigvalsh(proposal.factor @ proposal.factor.T / np.outer(DEVIATION, DEVIATION))
     assert ratio.min() > 0.5
@@ -173,3 +177,28 @@ def test_the_same_generator_gives_the_same_draws_and_asks_for_exactly_the_partic
     for name in ("rates", "log_likelihood", "log_weights"):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
     assert first.poses.quaternion.tobytes() == second.poses.quaternion.tobytes()
+
+
+def test_modes_are_weighed_by_an_exponent_of_their_own():
+    """Two flat modes, one 100 nats lower: their odds are exp(-100 x between), their inside is as without it."""
+    far = Poses(ORIGIN.quaternion[:, [1, 0, 3, 2]], ORIGIN.position, ORIGIN.log_scale, ORIGIN.joints)
+    parts = [wide(), dataclasses.replace(wide(), mean=far)]
+
+    def score(poses: Poses) -> np.ndarray:
+        return np.where(np.abs(poses.quaternion @ ORIGIN.quaternion[0]) > 0.7, 500.0, 400.0)
+
+    log_odds = {}
+    for between in (0.07, 0.03):
+        draws = posterior(philox(5), parts, score, 0.07, 2000, between)
+        here = draws.log_likelihood == 500.0
+        log_odds[between] = np.logaddexp.reduce(draws.log_weights[~here]) - np.logaddexp.reduce(draws.log_weights[here])
+        assert draws.reference == 500.0
+        assert np.logaddexp.reduce(draws.log_weights[here]) == pytest.approx(0.07 * 500, abs=0.1)
+    assert log_odds[0.07] == pytest.approx(-7.0, abs=0.2)
+    assert log_odds[0.03] == pytest.approx(-3.0, abs=0.2)
+
+
+def test_modes_found_apart_are_weighed_against_one_reference():
+    """What a search finds beside a track stands to it as if both had been weighed together."""
+    alone = posterior(philox(6), [wide()], lambda poses: np.full(len(poses), 400.0), 0.07, 500, 0.03, reference=500.0)
+    assert np.logaddexp.reduce(alone.log_weights) == pytest.approx(0.07 * 500 - 0.03 * 100, abs=0.1)
