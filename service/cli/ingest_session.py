@@ -45,11 +45,14 @@ def read_config(path: Path | None) -> dict[str, Any]:
 
 
 def remembered_session(client: Client, note: Path) -> str | None:
-    """The session of an earlier run on this folder, if the service still has it."""
+    """The session of an earlier run on this folder, if the service still has it. Raises ``typer.BadParameter``."""
     if not note.is_file():
         return None
     try:
         session_id = str(json.loads(note.read_text())["session_id"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise typer.BadParameter(f"{note} names no session; remove it, or give --session") from error
+    try:
         return client.session(session_id).session_id
     except RefusedError as error:
         if error.status != 404:
@@ -58,8 +61,11 @@ def remembered_session(client: Client, note: Path) -> str | None:
 
 
 def remember_session(note: Path, session_id: str) -> None:
-    """Written once the session can take frames."""
-    note.write_text(json.dumps({"session_id": session_id}) + "\n")
+    """Written once the session can take frames. Raises ``typer.BadParameter`` where it cannot be."""
+    try:
+        note.write_text(json.dumps({"session_id": session_id}) + "\n")
+    except OSError as error:
+        raise typer.BadParameter(f"cannot remember session {session_id}: {error}; give another --note") from error
 
 
 def begin_session(client: Client, plan: SessionPlan, first_frame: Path) -> Session:

@@ -143,6 +143,11 @@ def test_what_a_new_session_needs_is_said(desk):
     assert "--mesh" in (desk.run(*watch)).stderr
     mesh = ("--mesh", str(desk.root / "sat.glb"))
     assert "--border" in (desk.run(*watch, *mesh)).stderr
+    note = desk.root / "nowhere" / "note.json"
+    assert "--note" in desk.ingest("--note", str(note)).stderr
+    note.parent.mkdir()
+    note.write_text("{}")
+    assert "names no session" in desk.ingest("--note", str(note)).stderr
     unknown = desk.run(*watch, "--session", "x")
     assert (unknown.exit_code, "not-found" in unknown.stderr) == (1, True)
 
