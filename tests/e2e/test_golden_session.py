@@ -32,9 +32,9 @@ from service.workers.tracker import Tracker, draw_silhouette
 
 GOLDEN = Path(__file__).parent / "golden"
 ROOT = Path(__file__).resolve().parents[2]
-SIZE, FRAMES, MIDDLE = 48, 8, 4
+SIZE, FRAMES, MIDDLE = 80, 8, 4
 CONFIG = {"filter": {"particles": 200, "acquisition_particles": 500, "seed": 5}}
-LEAST_OVERLAP, PLACE_PX, SCALE = 0.93, 0.6, 0.03
+LEAST_OVERLAP, PLACE_PX, SCALE = 0.90, 1.0, 0.04
 
 
 @pytest.mark.anyio
