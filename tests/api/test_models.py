@@ -77,3 +77,15 @@ async def test_pages(api):
     assert len(set(seen)) == len(seen) == 5
     assert (await api.http.get("/v1/models?limit=1001")).json()["setting"] == "SKYPOSE_MAX_PAGE"
     assert json.loads((await api.http.get("/v1/models?limit=0")).content)["status"] == 422
+
+
+async def test_meshes_come_with_a_urdf_file_only(api):
+    twice = [("file", ("sat.urdf", CUBE)), ("meshes", ("a/x.stl", b"1")), ("meshes", ("b/x.stl", b"2"))]
+    for files in (
+        twice,
+        [("file", ("sat.glb", CUBE)), ("meshes", ("x.stl", b"1"))],
+        [("file", ("sat.urdf", CUBE)), ("meshes", (None, b"text"))],
+    ):
+        answer = await api.http.post("/v1/models", files=files)
+        assert (answer.status_code, answer.json()["field"]) == (422, "meshes"), answer.text
+    assert (await api.http.post("/v1/models", files=twice[:1])).json()["file_type"] == "urdf"
