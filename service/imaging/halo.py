@@ -17,7 +17,7 @@ WIDTHS = (2.0, 4.0, 8.0)  # of the Gaussians that make up the wings, in widths o
 LEAST_CORE_PX = 1.0
 ROUNDS = 6
 OUTLIER_SIGMA = 2.0  # what is brighter than the veil by more is a dim part or a star
-FEWEST_PIXELS = 200
+FEWEST_PIXELS, MOST_PIXELS = 200, 6000
 REACH = 0.02  # of its greatest value: where a veil is not worth fitting
 
 
@@ -35,12 +35,13 @@ def veil(
     spread = np.stack([_blurred(source, width * core) for width in WIDTHS])  # (K, H, W, C)
     scattered = np.zeros_like(residual)
     total = np.abs(spread[-1]).sum(axis=2)
-    around = ~near & (total > REACH * total.max())
-    if np.count_nonzero(around) < FEWEST_PIXELS:
+    around = np.flatnonzero(~near & (total > REACH * total.max()))
+    if len(around) < FEWEST_PIXELS:
         return scattered
+    around = around[:: -(-len(around) // MOST_PIXELS)]
     for channel in range(residual.shape[2]):
-        basis = spread[..., channel][:, around].astype(np.float64)
-        share = _robust_share(basis, residual[..., channel][around].astype(np.float64))
+        basis = spread[..., channel].reshape(len(WIDTHS), -1)[:, around].astype(np.float64)
+        share = _robust_share(basis, residual[..., channel].ravel()[around].astype(np.float64))
         scattered[..., channel] = np.tensordot(share, spread[..., channel], axes=1)
     return scattered
 

@@ -29,6 +29,7 @@ _DEFAULT_PSF_SIGMA_PX = 1.0
 _DETECTION_SIGMA = 4.0  # of smoothed noise: fainter light is no evidence
 _STRONG_SIGMA = 5.0  # light around which an edge can be placed; fainter light is judged by neighbourhoods
 _LEVEL_ROUNDS = 8
+_LEVEL_SAMPLE = 16_384
 _LEVEL_PIXELS = 100  # fewer that look like sky tell nothing of its level
 _FAINT_SIGMA_PX = 2.0
 _FAINT_DETECTION = 3.5
@@ -103,12 +104,14 @@ def sky_residual(image: NDArray[np.generic], sky: Sky) -> NDArray[np.float32]:
     """
     frame = (image[..., None] if image.ndim == 2 else image).astype(np.float32)
     residual = frame - sky.mean
-    level = np.median(residual, axis=(0, 1))
+    every = max(1, int(np.sqrt(residual[..., 0].size / _LEVEL_SAMPLE)))  # a sample tells the level well enough
+    some = residual[::every, ::every]
+    level = np.median(some, axis=(0, 1))
     for _ in range(_LEVEL_ROUNDS):
-        near = np.all(np.abs(residual - level) < 3 * sky.sigma, axis=2)
+        near = np.all(np.abs(some - level) < 3 * sky.sigma, axis=2)
         if np.count_nonzero(near) < _LEVEL_PIXELS:
             break
-        new = np.median(residual[near], axis=0)
+        new = np.median(some[near], axis=0)
         settled = bool(np.all(np.abs(new - level) < 0.02 * sky.sigma))
         level = new
         if settled:

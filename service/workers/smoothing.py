@@ -44,13 +44,20 @@ def belief_after(job: FrameJob, state: FilterState, twins: Sequence[Symmetry], d
 
 
 def with_rates(
-    estimate: Estimate, state: FilterState, belief: Belief | None, job: FrameJob, domain: Domain
+    estimate: Estimate,
+    state: FilterState,
+    belief: Belief | None,
+    job: FrameJob,
+    domain: Domain,
+    twins: Sequence[Symmetry],
 ) -> Estimate:
     """The estimate with the rates of its poses, from the second frame on of a filter that has rates."""
     if job.state is None or job.config.motion.kind != "constant_velocity":
         return estimate
+    n_twins = 0 if job.config.filter.method == "bootstrap" else len(twins)
     mean, best = (
-        replace(pose, rotation_rate=rotation_rate(state, pose.quaternion)) for pose in (estimate.mean, estimate.best)
+        replace(pose, rotation_rate=rotation_rate(state, pose.quaternion, n_twins))
+        for pose in (estimate.mean, estimate.best)
     )
     if belief is None:
         return replace(estimate, mean=mean, best=best)

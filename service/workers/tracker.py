@@ -170,7 +170,7 @@ class Tracker:
         )
         state = replace(state, memory=kept)
         belief = belief_after(job, state, twins, domain)
-        estimate = in_full_frame(with_rates(estimate, state, belief, job, domain), job.config.camera)
+        estimate = in_full_frame(with_rates(estimate, state, belief, job, domain, twins), job.config.camera)
         done = time.perf_counter()
         timing = {
             "decode": decoded - began,
