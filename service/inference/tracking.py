@@ -176,7 +176,8 @@ def unseen(update: Update) -> Outcome:
         moved = retract(state.poses, step)
         low, high = domain.log_scale_bounds
         inside = np.clip(moved.position, 0, (domain.width, domain.height))
-        poses = domain.wrap(Poses(moved.quaternion, inside, np.clip(moved.log_scale, low, high), moved.joints))
+        joints = np.where(domain.wrapping, moved.joints, np.clip(moved.joints, *domain.joint_bounds))
+        poses = domain.wrap(Poses(moved.quaternion, inside, np.clip(moved.log_scale, low, high), joints))
         rates, log_weights = state.rates + turn, state.log_weights
     else:
         nowhere = Evidence(0.25 * domain.width * domain.height, 0.5 * np.array([domain.width, domain.height]), 1.0)

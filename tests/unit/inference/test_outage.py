@@ -6,12 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.domain import Domain
 from service.inference.params import FilterParams, LikelihoodParams, PriorParams, SessionConfig
 from service.inference.pose import angle_between, exp_so3, multiply
 from service.inference.state import Estimate, FilterState, Frame, Measurement, Poses
 from service.inference.step import one_of_twins, step
 from service.inference.symmetry import Symmetry
+from service.inference.tracking import unseen
+from service.inference.update import Update
 
 WIDTH, HEIGHT = 40, 34
 SIGNS = [signs for signs in itertools.product((1.0, -1.0), repeat=3) if signs != (1.0, 1.0, 1.0)]
@@ -174,3 +177,19 @@ def bits(state: FilterState) -> list[bytes]:
     poses = state.poses
     arrays = [poses.quaternion, poses.position, poses.log_scale, poses.joints, state.log_weights, state.rates]
     return [np.asarray(a).tobytes() for a in [*arrays, *(state.memory[name] for name in sorted(state.memory))]]
+
+
+def test_a_joint_out_of_sight_stays_within_its_bounds():
+    """A boom that was being driven out, unseen for a minute, is at most all the way out."""
+    boom = Joint("boom", "prismatic", 0.0, 2.0, 0.0, (Stage("prismatic", ("boom",), (0, 0, 1)),))
+    domain = Domain(WIDTH, HEIGHT, 1.0, Articulation(("bus", "boom"), (boom,)), PriorParams(0.3, 1.0))
+    poses = Poses(np.tile([1.0, 0, 0, 0], (50, 1)), np.full((50, 2), 18.0), np.full(50, 2.0), np.full((50, 1), 1.5))
+    rates = np.tile([0, 0, 0, 0, 0, 0, 0.5], (50, 1))
+    memory = {"age": np.array(5.0)}
+    state = FilterState(poses, np.full(50, -np.log(50)), rates, 0, 0.0, "tracking", memory)
+    rng = np.random.Generator(np.random.Philox(7))
+    blank = Frame(1, 60.0, Measurement(EMPTY, 0.0))
+    update = Update(rng, state, blank, lambda p, maps: np.full((len(p), 1), -1.0), SessionConfig(), domain, ())
+    joints = unseen(update).poses.joints
+    assert joints.min() >= 0.0
+    assert joints.max() == 2.0
