@@ -62,7 +62,12 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     engine = Engine(
         transport
         or ProcessTransport(
-            TRACKER, settings.workers, settings.worker_timeout_s, settings.worker_start_timeout_s, (limits,)
+            TRACKER,
+            settings.workers,
+            settings.worker_timeout_s,
+            settings.worker_start_timeout_s,
+            (limits,),
+            settings.worker_nice,
         )
     )
     database = Database(settings.data_dir, settings.reader_threads)

@@ -40,6 +40,8 @@ class Settings(BaseSettings):
     worker_start_timeout_s: PositiveSeconds = 120.0
     """How long a new worker may take until it is ready."""
 
+    worker_nice: Annotated[int, Field(ge=0, le=19)] = 4
+    """How far the worker processes stand back for the web process where they share cores (0 to 19)."""
     session_inbox_frames: Positive = 16
     """Frames a session holds waiting; one more is answered 429."""
     max_waiting_frames: Positive = 512

@@ -46,6 +46,7 @@ def run(settings: Settings, worker: str | None = None) -> None:
         settings.worker_timeout_s,
         settings.worker_start_timeout_s,
         () if worker else (DecodeLimits.of(settings.model_dump()),),
+        settings.worker_nice,
     )
     transport.prestart()  # its imports take as long as ours below: side by side they take half
     from service.main import create_app

@@ -44,13 +44,20 @@ class WorkerProcess:
     """One worker process, started when first needed and again after each loss."""
 
     def __init__(
-        self, name: str, factory: str, timeout_s: float, start_timeout_s: float, arguments: tuple[Any, ...] = ()
+        self,
+        name: str,
+        factory: str,
+        timeout_s: float,
+        start_timeout_s: float,
+        arguments: tuple[Any, ...] = (),
+        nice: int = 0,
     ) -> None:
         self.name = name
         self.description: Mapping[str, Any] = {}
         self.restarts = 0
         self._factory = factory
         self._arguments = arguments  # of the factory: plain data
+        self._nice = nice
         self._timeout_s = timeout_s
         self._start_timeout_s = start_timeout_s
         self._child: _Child | None = None
@@ -109,7 +116,7 @@ class WorkerProcess:
         if self._child is not None:
             return self._child
         here, there = _CONTEXT.Pipe()
-        arguments = (there, self._factory, self._arguments)
+        arguments = (there, self._factory, self._arguments, self._nice)
         process = _CONTEXT.Process(target=run, args=arguments, name=f"skypose-{self.name}", daemon=True)
         process.start()
         there.close()  # so that the end of the process is the end of the pipe
@@ -178,11 +185,17 @@ class ProcessTransport:
     """
 
     def __init__(
-        self, factory: str, workers: int, timeout_s: float, start_timeout_s: float, arguments: tuple[Any, ...] = ()
+        self,
+        factory: str,
+        workers: int,
+        timeout_s: float,
+        start_timeout_s: float,
+        arguments: tuple[Any, ...] = (),
+        nice: int = 0,
     ) -> None:
         names = [*(f"track-{n}" for n in range(workers)), "side"]
         *self.workers, self.side = [
-            WorkerProcess(name, factory, timeout_s, start_timeout_s, arguments) for name in names
+            WorkerProcess(name, factory, timeout_s, start_timeout_s, arguments, nice) for name in names
         ]
         self._side_start: asyncio.Task[None] | None = None
 
