@@ -32,6 +32,7 @@ VARIANTS = (
     ),
     Variant("colour", "brightness instead of colour", {"likelihood": {"feature": "intensity"}}),
     Variant("exponent", "every pixel independent: exponent 1", {"likelihood": {"exponent": 1.0}}),
+    Variant("modes", "far modes weighed by the exponent of near poses", {"likelihood": {"mode_exponent": 1.0}}),
     Variant("twins", "the filter is not told of the body's symmetries", twins=False),
     Variant("velocity", "jitter instead of constant velocity", {"motion": {"kind": "jitter"}}),
     Variant("moves", "one tempering step with a move instead of several", {"filter": {"moves": 1}}),
