@@ -8,24 +8,24 @@ DECODE_LIMIT_MB = 2048
 
 
 def test_spoilt_files_are_refused_or_decoded():
-    found = direct.run(3000, seed=1)
-    assert found.inputs == 3000
+    found = direct.run(1500, seed=1)
+    assert found.inputs == 1500
     assert not found.wrong
     assert not found.tripped
-    assert found.answers["decoded"] < 1500
+    assert found.answers["decoded"] < 750
     assert found.peak_mb < DECODE_LIMIT_MB
 
 
 @pytest.mark.anyio
 async def test_forged_checkpoints_are_refused_or_harmless():
-    found = await forged.run(60, seed=2)
-    assert found.inputs == 60
+    found = await forged.run(30, seed=2)
+    assert found.inputs == 30
     assert not found.wrong
-    assert found.statuses[422] > 20
+    assert found.statuses[422] > 10
 
 
 @pytest.mark.timeout(600)
 def test_the_api_is_as_its_document_says_for_good_and_bad_values():
-    ended = schema.run(2, seed=1, phases="examples,coverage", worker="fake_worker:FakeWorker")
+    ended = schema.run(1, seed=1, phases="examples,coverage", worker="fake_worker:FakeWorker")
     assert ended.status == 0, ended.text[-6000:]
     assert ended.cases > 500
