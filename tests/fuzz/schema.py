@@ -6,6 +6,7 @@ Every operation, with good and bad values of every parameter and body. The event
 """
 
 import argparse
+import os
 import re
 import subprocess
 import sys
@@ -13,8 +14,9 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "e2e"))
-from server_process import Server
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "tests" / "e2e"))
+from server_process import Server  # noqa: E402
 
 KEY = "schemathesis-key-of-more-than-32-characters"
 CHECKS = "not_a_server_error,content_type_conformance,response_headers_conformance,response_schema_conformance"
@@ -47,6 +49,7 @@ def run(examples: int, seed: int, phases: str, worker: str | None = None) -> Run
                     *("--request-timeout", "60", "--warnings", "off", "--suppress-health-check", "all"),
                 ],
                 cwd=folder,
+                env={**os.environ, "PYTHONPATH": str(ROOT), "SCHEMATHESIS_HOOKS": "tests.fuzz.schema_hooks"},
                 capture_output=True,
                 text=True,
                 check=False,
