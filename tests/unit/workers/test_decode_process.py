@@ -96,7 +96,7 @@ def test_memory_is_limited_and_the_next_file_is_decoded(decoder):
 def test_time_is_limited_and_the_next_file_is_decoded(decoder):
     empty = b"XTENSION= 'IMAGE   '           ".ljust(80) + b"BITPIX  =                    8".ljust(80)
     empty += b"NAXIS   =                    0".ljust(80) + b"PCOUNT  = 0".ljust(80) + b"GCOUNT  = 1".ljust(80)
-    slow = fits_file(np.zeros(0))[:2880] + (empty + b"END").ljust(2880) * 8000
+    slow = fits_file(np.zeros(0))[:2880] + (empty + b"END").ljust(2880) * 24000
     with pytest.raises(TooLargeError) as refused:
         decoder.frame(slow, "image/fits")
     assert (refused.value.facts["setting"], refused.value.field) == ("SKYPOSE_DECODE_CPU_S", "body")
