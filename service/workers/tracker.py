@@ -149,7 +149,8 @@ class Tracker:
         within = scale_in_window(job.scale_px, job.config.camera)
         domain = Domain(width, height, mesh.radius, articulation, job.config.prior, within)
         twins = self._twins.get(
-            f"{job.model}:{articulation}", lambda: held_symmetries(job.twins, job.articulation, articulation)
+            f"{job.model}:{articulation}:{job.twins}",
+            lambda: held_symmetries(job.twins, job.articulation, articulation),
         )
         frame = Frame(job.frame_index, job.time_s, Measurement(maps.log_ratio, maps.log_background))
         stream = np.array([job.config.filter.seed, job.frame_index], np.uint64)
