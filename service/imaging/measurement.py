@@ -14,7 +14,7 @@ out).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -24,6 +24,8 @@ from service.imaging.background import Sky
 from service.imaging.features import feature_bins
 from service.imaging.halo import veil
 from service.imaging.psf import estimate_psf_sigma
+
+Number = TypeVar("Number", np.uint8, np.float32)
 
 _DEFAULT_PSF_SIGMA_PX = 1.0
 _DETECTION_SIGMA = 4.0  # of smoothed noise: fainter light is no evidence
@@ -136,30 +138,35 @@ def contrast_log_ratio(
     uncovered_bright_nats: float,
 ) -> NDArray[np.float32]:
     """(H, W) bounded log-ratio that changes sign where the light is half of its local maximum."""
-    reach = 2 * int(np.ceil(2.5 * psf_sigma_px)) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
-    sharp, significance = half_level(residual, sky, psf_sigma_px, disc)
+    sharp, significance = half_level(residual, sky, psf_sigma_px)
     light = (sharp > 0) & (significance > _STRONG_SIGMA)
-    near_light = cv2.dilate(light.astype(np.uint8), disc) > 0
+    near_light = brightest_within(light.astype(np.uint8), psf_sigma_px) > 0
     clear = residual - veil(residual, sky, light, near_light, psf_sigma_px)
     faint = np.minimum(faint_light(clear, sky, near_light), _FAINT_NATS)
-    far = np.maximum(half_level(clear, sky, psf_sigma_px, disc)[0], faint)
+    far = np.maximum(half_level(clear, sky, psf_sigma_px)[0], faint)
     log_ratio = np.where(near_light, sharp, far)
     return np.asarray(np.clip(log_ratio, -covered_empty_nats, uncovered_bright_nats), dtype=np.float32)
 
 
 def half_level(
-    residual: NDArray[np.float32], sky: Sky, psf_sigma_px: float, disc: NDArray[Any]
+    residual: NDArray[np.float32], sky: Sky, psf_sigma_px: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(H, W) distance of each pixel from half of the light within ``disc`` around it, in units of an edge's softness;
-    and its brightness in units of its noise."""
+    """(H, W) distance of each pixel from half of the light within reach of the point spread, in units of an edge's
+    softness; and its brightness in units of its noise."""
     smooth = max(0.5, 0.7 * psf_sigma_px)
     s = contrast(residual, sky, smooth)
     noise = float(np.sqrt(residual.shape[2] / np.pi) / (2 * smooth))  # of a pixel after the Gaussian
-    bright = cv2.GaussianBlur(cv2.dilate(s, disc), (0, 0), max(psf_sigma_px, 0.5))
+    bright = cv2.GaussianBlur(brightest_within(s, psf_sigma_px), (0, 0), max(psf_sigma_px, 0.5))
     threshold = np.maximum(_HALF * bright, _DETECTION_SIGMA * noise)
     softness = np.maximum(0.075 * bright, 0.75 * noise)
     return np.asarray((s - threshold) / softness, dtype=np.float32), np.asarray(s / noise, dtype=np.float32)
+
+
+def brightest_within(image: NDArray[Number], sigma_px: float) -> NDArray[Number]:
+    """(H, W) the greatest value within 2.5 ``sigma_px`` of each pixel: as far as such a point spread carries."""
+    side = 2 * int(np.ceil(2.5 * sigma_px)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return np.asarray(cv2.dilate(image, disc), dtype=image.dtype)
 
 
 def faint_light(residual: NDArray[np.float32], sky: Sky, near_light: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -173,10 +180,8 @@ def faint_light(residual: NDArray[np.float32], sky: Sky, near_light: NDArray[np.
     z = total / sky.sigma / np.sqrt(np.maximum(variance, 1e-6))[..., None]
     z = z / np.maximum(1.0, 1.4826 * np.median(np.abs(z), axis=(0, 1)))  # the sky's own structure is noise too
     significance = np.sqrt(np.sum(z * z, axis=2))
-    reach = 2 * int(np.ceil(2.5 * _FAINT_SIGMA_PX)) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     seen = np.where(weight > 0, significance, 0.0).astype(np.float32)
-    bright = cv2.GaussianBlur(cv2.dilate(seen, disc), (0, 0), _FAINT_SIGMA_PX)
+    bright = cv2.GaussianBlur(brightest_within(seen, _FAINT_SIGMA_PX), (0, 0), _FAINT_SIGMA_PX)
     threshold = np.maximum(_FAINT_DETECTION, _HALF * bright)
     evidence = (significance - threshold) / np.maximum(1.5, 0.15 * bright)
     return np.asarray(np.where((share > 0.2) & (weight > 0), evidence, -np.inf), dtype=np.float32)

@@ -9,14 +9,11 @@ import numpy as np
 
 from service.inference.domain import Domain
 from service.inference.estimate import mean_pose, tangent
-from service.inference.modes import cluster, distance, metric_of
+from service.inference.modes import LEAST_MODE, MOST_MODES, cluster, distance, metric_of
 from service.inference.pose import concatenate
 from service.inference.state import Array, FilterState, Poses, Rates
 from service.inference.symmetry import Symmetry, refold
 from service.inference.update import MOST_SURPRISE
-
-MOST_MODES = 8
-LEAST_MODE = 1e-4  # a mode that holds less is left out
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ CLUSTER_RADIUS_DEG = 15.0
 JOINT_RADIUS_DEG = 30.0  # two joint values further apart than this are two answers
 JOINT_RADIUS_SHARE = 0.15  # the same for a prismatic joint, of its range
 MAX_CLUSTERS = 32
+MOST_MODES = 8  # that are followed from frame to frame, and kept for the smoother
+LEAST_MODE = 1e-4  # a mode that holds less is neither
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.inference.belief import LEAST_MODE, MOST_MODES, Belief
+from service.inference.belief import Belief
 from service.inference.domain import Domain
 from service.inference.estimate import tangent
+from service.inference.modes import LEAST_MODE, MOST_MODES
 from service.inference.motion import RateFilter, carry_on
 from service.inference.pose import concatenate, exp_so3, retract, rotation_matrices
 from service.inference.state import Array, Poses

@@ -12,7 +12,7 @@ from service.inference.acquisition import Evidence, find_evidence, place
 from service.inference.domain import Domain
 from service.inference.metropolis import follow_by_moves, strew
 from service.inference.mixture import Component, Draws, component, join, posterior
-from service.inference.modes import cluster, distance
+from service.inference.modes import LEAST_MODE, MOST_MODES, cluster, distance
 from service.inference.motion import carry_on
 from service.inference.params import SessionConfig
 from service.inference.peak import heading, likeliest_twin, sharpen
@@ -29,9 +29,7 @@ SUPPORT_FLOOR = 0.3  # share of the frame's light that the best silhouette must 
 SUPPORT_DROP = 0.6  # of the track's own usual support; below it the whole space is searched again
 FADE = 0.85  # of the running averages, per frame
 RENEW_FRAMES = 10  # a track is held against a search of the whole space this often
-MOST_MODES = 8
 BETWEEN = 0.07
-LEAST_MODE = 1e-4  # a mode that holds less is not followed
 NEWCOMER = 0.01  # prior weight of what a renewed search finds beside a track
 
 
