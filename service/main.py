@@ -45,6 +45,7 @@ from service.sessions.session import Rooms
 from service.sessions.status import Status
 from service.settings import MEBIBYTE, Settings
 from service.store.base import Quotas, Retention
+from service.store.choice import database_of
 from service.store.database import Database
 from service.workers.engine import Engine, Transport
 from service.workers.inspector import Inspector
@@ -70,7 +71,7 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
             settings.worker_nice,
         )
     )
-    database = Database(settings.data_dir, settings.reader_threads)
+    database = database_of(settings)
     inspector = Inspector(limits)
     services = _build(settings, engine, database, inspector)
     app = DescribedApi(

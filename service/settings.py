@@ -9,7 +9,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 Positive = Annotated[int, Field(ge=1)]
@@ -28,6 +28,16 @@ class Settings(BaseSettings):
     """Port to listen on; 0 takes a free one."""
     data_dir: Path = Path("skypose-data")
     """Where the database lives."""
+    database_url: SecretStr = SecretStr("")
+    """`postgresql+psycopg://user:password@host/name` (extra `[postgres]`). Empty: SQLite in the data directory."""
+    database_connections: Positive = 8
+    """PostgreSQL: connections that write."""
+    database_wait_s: PositiveSeconds = 10.0
+    """PostgreSQL: how long a call waits for a server that is not there, or for a lock, before it is answered 503."""
+    instance_url: str = ""
+    """PostgreSQL: how the other processes reach this one. Empty: `http://`, its host and port."""
+    lease_s: Annotated[float, Field(ge=1, le=300)] = 5.0
+    """PostgreSQL: a process that is not heard of for so long loses its sessions to the others."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """Least severe log line that is written."""
     log_format: Literal["json", "text"] = "json"

@@ -1,10 +1,12 @@
 """What all tests share: where the data outside the repository lies, and settings of the test tools."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from postgres_server import Postgres
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -33,3 +35,11 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("no ../shared beside the checkout")
     return folder
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[Postgres]:
+    """A PostgreSQL server of its own, for all tests; skips where there is none to start."""
+    server = Postgres()
+    yield server
+    server.close()

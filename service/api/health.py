@@ -19,7 +19,7 @@ from service.api.services import ServicesDep
 from service.sessions.frame import format_time
 
 router = APIRouter(tags=["operations"])
-_NOT_SHOWN = {"data_dir", "bootstrap_key_file", "oidc_jwks"}
+_NOT_SHOWN = {"data_dir", "database_url", "instance_url", "bootstrap_key_file", "oidc_jwks"}
 
 
 def release() -> str:

@@ -98,10 +98,10 @@ def _on_database(data: Path | None, work: Callable[[Connection], R]) -> R:
 
     from service.errors import SkyposeError
     from service.settings import Settings
-    from service.store.database import Database
+    from service.store.choice import database_of
 
     async def run() -> R:
-        database = Database(data or Settings().data_dir, 1)
+        database = database_of(Settings() if data is None else Settings(data_dir=data))
         try:
             await database.open(beside=True)
             return await database.write(work)

@@ -67,10 +67,10 @@ def refuse_open_door(settings: Settings) -> None:
     from service.access.oidc import open_oidc
     from service.access.tickets import Tickets
     from service.errors import SkyposeError
-    from service.store.database import Database
+    from service.store.choice import database_of
 
     async def look() -> None:
-        database = Database(settings.data_dir, 1)
+        database = database_of(settings)
         keys = Keys(database, settings.credential_cache_s)
         gate = Gate(settings, keys, open_oidc(settings), Tickets(settings.ticket_s))
         if not gate.needs_stored_key:

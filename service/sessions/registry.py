@@ -23,6 +23,7 @@ from service.sessions.session import Rooms, Session
 from service.store import checkpoints, models, sessions
 from service.store.base import NO_QUOTAS, Quotas, SessionRecord, StoredContender
 from service.store.checkpoints import StoredSession
+from service.store.instances import Instance
 from service.store.scope import SessionKey, model_key, session_key
 
 log = structlog.get_logger(__name__)
@@ -133,7 +134,9 @@ class Registry:
         old = self._resident.pop(session_id, None)
         if old is not None:
             await old.inbox.close()
-        record, state = await self._rooms.database.write(sessions.claim, session_id)
+        claimed = await self._rooms.database.write(sessions.claim, session_id)
+        assert not isinstance(claimed, Instance), "only where several processes share the database"
+        record, state = claimed
         config = session_config.parse(orjson.dumps(record.config))
         owner = Session(self._rooms, record, config, await self._contenders(record, config, state))
         self._resident[session_id] = owner

@@ -8,11 +8,13 @@ from sqlalchemy import Connection, func, insert, or_, select, update
 
 from service.errors import NotFoundError, QuotaExceededError
 from service.store.base import KeyRecord
+from service.store.signals import Signal, alone, send
 from service.store.tables import api_keys
 
 
 def add(connection: Connection, record: KeyRecord, quota: int = 0) -> None:
     """Store a new key. Raises ``QuotaExceededError`` where its tenant has ``quota`` (0: any number)."""
+    alone(connection)
     query = select(func.count()).where(api_keys.c.tenant == record.tenant, api_keys.c.revoked_at.is_(None))
     if quota and connection.execute(query).scalar_one() >= quota:
         raise QuotaExceededError(f"{quota} keys are there", limit=quota, setting="SKYPOSE_QUOTA_KEYS")
@@ -41,6 +43,7 @@ def revoke(connection: Connection, tenant: str | None, key_id: str, now: str) ->
         raise NotFoundError(f"no key {key_id}", field="key_id")
     query = update(api_keys).where(api_keys.c.id == key_id, api_keys.c.revoked_at.is_(None))
     connection.execute(query.values(revoked_at=now))
+    send(connection, Signal("revoked", key_id))
     return record
 
 

@@ -12,6 +12,7 @@ from service.errors import ConflictError
 from service.store import models, sessions
 from service.store.base import NO_QUOTAS, ModelRecord, Quotas, SessionRecord
 from service.store.scope import SessionKey, public_id
+from service.store.signals import Signal, alone, send
 from service.store.tables import backgrounds, estimates, events, frames, particles
 from service.store.tables import sessions as sessions_table
 
@@ -57,6 +58,7 @@ def write(connection: Connection, given: StoredSession, quotas: Quotas = NO_QUOT
     Raises ``ConflictError`` where the stored session is another one or has gone further, ``QuotaExceededError``.
     """
     record = given.record
+    alone(connection)
     old = _earlier(connection, given)
     models.add(connection, given.model, given.model_file, quotas)
     if given.background is not None and record.background_key is not None:
@@ -78,11 +80,12 @@ def write(connection: Connection, given: StoredSession, quotas: Quotas = NO_QUOT
     if given.state is not None:
         at = {"session_id": record.id, "idx": record.next_index - 1}
         connection.execute(insert(particles).values(**at, state=given.state))
+    send(connection, Signal("replaced", record.id, record.next_seq - 1))
     return old is None
 
 
 def _earlier(connection: Connection, given: StoredSession) -> SessionRecord | None:
-    query = select(sessions_table.c.id).where(sessions_table.c.id == given.record.id)
+    query = select(sessions_table.c.id).where(sessions_table.c.id == given.record.id).with_for_update()
     if connection.execute(query).first() is None:
         return None
     old = sessions.get(connection, given.record.id)

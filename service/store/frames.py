@@ -8,6 +8,7 @@ from service.errors import GoneError, NotFoundError
 from service.store import sessions as session_queries
 from service.store.base import FrameRecord, Retention, StoredBelief, StoredEvent, StoredFrame
 from service.store.scope import SessionKey
+from service.store.signals import Signal, send
 from service.store.tables import beliefs, estimates, events, frame_bodies, frames, particles
 
 
@@ -17,7 +18,7 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
     Returns the event's number. Raises ``StaleOwnerError`` unless ``record.epoch`` is the present owner's and
     ``record.index`` the next.
     """
-    row = session_queries.get(connection, record.session_id)
+    row = session_queries.get(connection, record.session_id, hold=True)
     session_queries.advance(
         connection,
         record.session_id,
@@ -41,6 +42,7 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
     session_queries.put_contenders(connection, record.session_id, record.contenders)
     connection.execute(insert(events).values(**at, seq=row.next_seq, kind="estimate"))
     _forget(connection, record.session_id, record.index, retention)
+    send(connection, Signal("grown", record.session_id, row.next_seq))
     return row.next_seq
 
 
@@ -55,9 +57,14 @@ def _forget(connection: Connection, session_id: SessionKey, newest: int, retenti
 
 
 def find(
-    connection: Connection, session_id: SessionKey, *, index: int | None, key: str | None
+    connection: Connection, session_id: SessionKey, *, index: int | None, key: str | None, epoch: int | None = None
 ) -> tuple[StoredFrame | None, StoredFrame | None]:
-    """The stored frames at this index and under this idempotency key; None where there is none."""
+    """The stored frames at this index and under this idempotency key; None where there is none.
+
+    Raises ``StaleOwnerError`` for an ``epoch`` that is not the present owner's.
+    """
+    if epoch is not None:
+        session_queries.require_owner(connection, session_id, epoch)
 
     def one(column: object, value: object) -> StoredFrame | None:
         if value is None:

@@ -10,11 +10,13 @@ from sqlalchemy import Connection, Row, delete, func, insert, or_, select
 from service.errors import ModelInUseError, NotFoundError, QuotaExceededError
 from service.store.base import NO_QUOTAS, ModelRecord, Quotas
 from service.store.scope import ModelKey, public_id
+from service.store.signals import alone
 from service.store.tables import blobs, contenders, models, sessions
 
 
 def add(connection: Connection, record: ModelRecord, data: bytes, quotas: Quotas = NO_QUOTAS) -> None:
     """Store a model and its file, unless the same is there. Raises ``QuotaExceededError``."""
+    alone(connection)
     if find(connection, record.id) is None:
         count = connection.execute(select(func.count()).where(models.c.tenant == record.tenant)).scalar_one()
         if quotas.models and count >= quotas.models:
@@ -47,6 +49,7 @@ def page(connection: Connection, tenant: str, after: int, limit: int) -> list[Mo
 
 def remove(connection: Connection, model_id: ModelKey) -> None:
     """Delete a model and its file. Raises ``ModelInUseError`` while a session needs it."""
+    alone(connection)
     record = get(connection, model_id)
     named = select(sessions.c.id).where(sessions.c.model_id == model_id)
     compared = select(contenders.c.session_id.label("id")).where(contenders.c.model_id == model_id)
@@ -60,7 +63,7 @@ def remove(connection: Connection, model_id: ModelKey) -> None:
 
 
 def put_blob(connection: Connection, key: str, data: bytes) -> None:
-    """Store bytes under their content's key, unless they are there."""
+    """Store bytes under their content's key, unless they are there. For transactions that are ``alone``."""
     if connection.execute(select(blobs.c.key).where(blobs.c.key == key)).first() is None:
         connection.execute(insert(blobs).values(key=key, data=data))
 
@@ -74,7 +77,7 @@ def get_blob(connection: Connection, key: str) -> bytes:
 
 
 def drop_blob_if_unused(connection: Connection, key: str | None) -> None:
-    """Delete a blob that no model and no session names."""
+    """Delete a blob that no model and no session names. For transactions that are ``alone``."""
     if key is None:
         return
     used = or_(

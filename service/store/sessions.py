@@ -9,14 +9,17 @@ from typing import Any
 from sqlalchemy import Connection, Row, delete, func, insert, select, update
 
 from service.errors import NotFoundError, QuotaExceededError, StaleOwnerError
-from service.store import models
+from service.store import instances, models
 from service.store.base import NO_QUOTAS, BackgroundRecord, Quotas, SessionRecord, StoredContender
+from service.store.instances import Instance
 from service.store.scope import SessionKey, public_id
+from service.store.signals import Signal, alone, send
 from service.store.tables import backgrounds, contenders, particles, sessions
 
 
 def add(connection: Connection, record: SessionRecord, quotas: Quotas = NO_QUOTAS) -> None:
     """Store a new session. Raises ``NotFoundError`` where its model has gone, ``QuotaExceededError``."""
+    alone(connection)
     models.get(connection, record.model_id)
     _require_room(connection, record, quotas)
     values = {name: getattr(record, name) for name in sessions.columns.keys() if name != "number"}  # noqa: SIM118
@@ -39,9 +42,10 @@ def _require_room(connection: Connection, record: SessionRecord, quotas: Quotas)
         )
 
 
-def get(connection: Connection, session_id: SessionKey) -> SessionRecord:
-    """The session. Raises ``NotFoundError``."""
-    row = connection.execute(select(sessions).where(sessions.c.id == session_id)).first()
+def get(connection: Connection, session_id: SessionKey, *, hold: bool = False) -> SessionRecord:
+    """The session; with ``hold`` its row is this transaction's until that ends. Raises ``NotFoundError``."""
+    query = select(sessions).where(sessions.c.id == session_id)
+    row = connection.execute(query.with_for_update() if hold else query).first()
     if row is None:
         raise NotFoundError(f"no session {public_id(session_id)}", field="session_id")
     return _with_models(connection, _record(row))
@@ -62,11 +66,34 @@ def holdings(connection: Connection, tenant: str) -> tuple[int, int]:
     return count, particle_sum
 
 
-def claim(connection: Connection, session_id: SessionKey) -> tuple[SessionRecord, bytes | None]:
-    """Become the session's owner: raise its epoch, and read it with its newest packed state."""
-    connection.execute(update(sessions).where(sessions.c.id == session_id).values(epoch=sessions.c.epoch + 1))
-    record = get(connection, session_id)
+def claim(
+    connection: Connection, session_id: SessionKey, me: str | None = None, gone: str | None = None
+) -> tuple[SessionRecord, bytes | None] | Instance:
+    """Become the session's owner: raise its epoch, and read it with its newest packed state.
+
+    Where several processes share the database ``me`` names this one, and the answer is the other that has the session,
+    if its lease lasts; ``gone`` names one that is to be taken for dead.
+    """
+    record = get(connection, session_id, hold=True)
+    if me is not None:
+        owner = instances.owner(connection, session_id)
+        if owner is not None and owner.id not in (me, gone):
+            return owner
+        instances.assign(connection, session_id, me)
+    connection.execute(update(sessions).where(sessions.c.id == session_id).values(epoch=record.epoch + 1))
+    record = replace(record, epoch=record.epoch + 1)
     return record, state(connection, session_id, record.next_index - 1)
+
+
+def require_owner(connection: Connection, session_id: SessionKey, epoch: int) -> None:
+    """Raises ``StaleOwnerError`` unless this is the epoch of the present owner."""
+    if connection.execute(select(sessions.c.epoch).where(sessions.c.id == session_id)).scalar() != epoch:
+        raise stale(session_id)
+
+
+def stale(session_id: SessionKey) -> StaleOwnerError:
+    """The error of an owner that is none any more."""
+    return StaleOwnerError(f"session {public_id(session_id)} was deleted or has another owner")
 
 
 def state(connection: Connection, session_id: SessionKey, index: int) -> bytes | None:
@@ -93,16 +120,18 @@ def put_contenders(connection: Connection, session_id: SessionKey, given: Sequen
 
 def remove(connection: Connection, session_id: SessionKey) -> None:
     """Delete a session with all its history. Raises ``NotFoundError``."""
-    record = get(connection, session_id)
+    alone(connection)
+    record = get(connection, session_id, hold=True)
     connection.execute(delete(sessions).where(sessions.c.id == session_id))
     models.drop_blob_if_unused(connection, record.background_key)
+    send(connection, Signal("deleted", session_id))
 
 
 def advance(connection: Connection, session_id: SessionKey, epoch: int, **values: Any) -> None:
     """Update the row in the name of an owner. Raises ``StaleOwnerError`` for any but the present."""
     query = update(sessions).where(sessions.c.id == session_id, sessions.c.epoch == epoch).values(**values)
     if connection.execute(query).rowcount != 1:
-        raise StaleOwnerError(f"session {public_id(session_id)} was deleted or has another owner")
+        raise stale(session_id)
 
 
 def find_background(connection: Connection, session_id: SessionKey, idempotency_key: str) -> tuple[str, int] | None:
@@ -116,7 +145,8 @@ def find_background(connection: Connection, session_id: SessionKey, idempotency_
 
 def set_background(connection: Connection, record: BackgroundRecord) -> None:
     """Store the background after one more image, and let go of the one before."""
-    old = get(connection, record.session_id).background_key
+    alone(connection)
+    old = get(connection, record.session_id, hold=True).background_key
     models.put_blob(connection, record.key, record.data)
     advance(
         connection,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import (
     JSON,
+    BigInteger,
     Column,
     Float,
     ForeignKey,
@@ -24,6 +25,9 @@ metadata = MetaData(
     }
 )
 
+Number = BigInteger().with_variant(Integer(), "sqlite")
+"""Up to 2**63: what counts, and what a client may name. SQLite's INTEGER is as wide, and only it can count up."""
+
 
 def _of_session() -> Column[str]:
     return Column("session_id", String, ForeignKey("sessions.id", ondelete="CASCADE"), primary_key=True, nullable=False)
@@ -39,7 +43,7 @@ blobs = Table(
 models = Table(
     "models",
     metadata,
-    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("number", Number, primary_key=True, autoincrement=True),
     Column("id", String, nullable=False, unique=True),
     Column("name", String, nullable=False),
     Column("file_type", String, nullable=False),
@@ -55,7 +59,7 @@ models = Table(
 sessions = Table(
     "sessions",
     metadata,
-    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("number", Number, primary_key=True, autoincrement=True),
     Column("id", String, nullable=False, unique=True),
     Column("model_id", String, ForeignKey("models.id"), nullable=False),
     Column("name", String),
@@ -63,9 +67,9 @@ sessions = Table(
     Column("warnings", JSON, nullable=False),
     Column("created_at", String, nullable=False),
     Column("updated_at", String, nullable=False),
-    Column("epoch", Integer, nullable=False),
-    Column("next_index", Integer, nullable=False),
-    Column("next_seq", Integer, nullable=False),
+    Column("epoch", Number, nullable=False),
+    Column("next_index", Number, nullable=False),
+    Column("next_seq", Number, nullable=False),
     Column("status", String),
     Column("time_s", Float),
     Column("time_given", String),
@@ -93,7 +97,7 @@ frames = Table(
     "frames",
     metadata,
     _of_session(),
-    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("idx", Number, primary_key=True, autoincrement=False),
     Column("sha256", String, nullable=False),
     Column("idempotency_key", String),
     Column("media_type", String, nullable=False),
@@ -101,7 +105,7 @@ frames = Table(
     Column("time_s", Float, nullable=False),
     Column("query", JSON, nullable=False),
     Column("created_at", String, nullable=False),
-    Column("epoch", Integer, nullable=False),
+    Column("epoch", Number, nullable=False),
     UniqueConstraint("session_id", "idempotency_key"),
 )
 
@@ -109,7 +113,7 @@ frame_bodies = Table(
     "frame_bodies",
     metadata,
     _of_session(),
-    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("idx", Number, primary_key=True, autoincrement=False),
     Column("body", LargeBinary, nullable=False),
 )
 
@@ -117,7 +121,7 @@ estimates = Table(
     "estimates",
     metadata,
     _of_session(),
-    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("idx", Number, primary_key=True, autoincrement=False),
     Column("document", LargeBinary, nullable=False),
 )
 
@@ -125,7 +129,7 @@ particles = Table(
     "particles",
     metadata,
     _of_session(),
-    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("idx", Number, primary_key=True, autoincrement=False),
     Column("state", LargeBinary, nullable=False),
 )
 
@@ -133,7 +137,7 @@ beliefs = Table(
     "beliefs",
     metadata,
     _of_session(),
-    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("idx", Number, primary_key=True, autoincrement=False),
     Column("belief", LargeBinary, nullable=False),
 )
 
@@ -151,15 +155,15 @@ events = Table(
     "events",
     metadata,
     _of_session(),
-    Column("seq", Integer, primary_key=True, autoincrement=False),
+    Column("seq", Number, primary_key=True, autoincrement=False),
     Column("kind", String, nullable=False),
-    Column("idx", Integer, nullable=False),
+    Column("idx", Number, nullable=False),
 )
 
 api_keys = Table(
     "api_keys",
     metadata,
-    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("number", Number, primary_key=True, autoincrement=True),
     Column("id", String, nullable=False, unique=True),
     Column("sha256", String, nullable=False),
     Column("tenant", String, nullable=False),
@@ -175,7 +179,7 @@ api_keys = Table(
 audit = Table(
     "audit",
     metadata,
-    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("number", Number, primary_key=True, autoincrement=True),
     Column("at", String, nullable=False),
     Column("tenant", String, nullable=False),
     Column("actor", String, nullable=False),
@@ -189,3 +193,39 @@ audit = Table(
     Index("ix_audit_at", "at"),
     sqlite_autoincrement=True,
 )
+
+instances = Table(
+    "instances",
+    metadata,
+    Column("id", String, primary_key=True),
+    Column("url", String, nullable=False),
+    Column("lease_until", Float, nullable=False),
+)
+"""Processes on this database, and until when each holds its sessions: seconds since 1970 by the database's clock."""
+
+owners = Table(
+    "owners",
+    metadata,
+    _of_session(),
+    Column("instance", String, nullable=False),
+)
+"""Which process has a session in memory; it counts while that process's lease lasts."""
+
+tickets = Table(
+    "tickets",
+    metadata,
+    Column("digest", String, primary_key=True),
+    Column("tenant", String, nullable=False),
+    Column("key_id", String, nullable=False),
+    Column("expires", String),
+    Column("until", Float, nullable=False),
+)
+"""Tickets for streams, where several processes must know them; ``until`` by the database's clock."""
+
+cluster = Table(
+    "cluster",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("secret", String, nullable=False),
+)
+"""One row: what the processes sign the calls with that they hand on to each other."""

@@ -1,5 +1,6 @@
-"""The application over the fake worker."""
+"""The application over the fake worker; with SKYPOSE_TEST_POSTGRES=1 on PostgreSQL, a database per data folder."""
 
+import os
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,18 @@ from service.workers.inline import InlineTransport
 
 
 @pytest.fixture
-def make_app(tmp_path: Path) -> Callable[..., FastAPI]:
+def make_app(tmp_path: Path, request: pytest.FixtureRequest) -> Callable[..., FastAPI]:
     """Builds an application over the fake worker; settings as keywords."""
+    databases: dict[Path, str] = {}
 
     def make(factory: Callable[[], Any] = FakeWorker, **settings: Any) -> FastAPI:
-        return create_app(Settings(**{"data_dir": tmp_path / "data", **settings}), InlineTransport(factory))
+        given = {"data_dir": tmp_path / "data", **settings}
+        if os.environ.get("SKYPOSE_TEST_POSTGRES"):
+            folder = given["data_dir"]
+            if folder not in databases:
+                databases[folder] = request.getfixturevalue("postgres").database()
+            given.setdefault("database_url", databases[folder])
+        return create_app(Settings(**given), InlineTransport(factory))
 
     return make
 

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from service.access.audit import MOST_WAITING, Audit, Entry
-from service.store.database import Database
+from service.store.sqlite import SqliteDatabase
 
 pytestmark = pytest.mark.anyio
 
@@ -19,7 +19,7 @@ class Clock:
 
 @pytest.fixture
 async def database(tmp_path, anyio_backend):
-    database = Database(tmp_path, 1)
+    database = SqliteDatabase(tmp_path, 1)
     await database.open()
     yield database
     await database.close()

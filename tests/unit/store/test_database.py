@@ -1,7 +1,6 @@
 """The store: the schema the migrations build, durability settings, transactions that fail whole."""
 
 import asyncio
-import sqlite3
 
 import pytest
 from alembic.autogenerate import compare_metadata
@@ -14,15 +13,31 @@ from service.errors import StaleOwnerError, StorageError
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, ModelRecord, Retention, SessionRecord
 from service.store.database import NEWEST_REVISION, Database
+from service.store.postgres import PostgresDatabase
+from service.store.sqlite import SqliteDatabase
 from service.store.tables import metadata
 
 pytestmark = pytest.mark.anyio
 KEEP = Retention(frame_bodies=2, particle_sets=2, particle_every=0)
 
 
+def on_postgres(url: str, sender: str = "me", **settings) -> PostgresDatabase:
+    given = {"connections": 3, "reader_threads": 2, "wait_s": 10.0, "idle_s": 5.0, **settings}
+    return PostgresDatabase(url, sender=sender, **given)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def make(request, tmp_path):
+    """Opens one database again and again."""
+    if request.param == "sqlite":
+        return lambda: SqliteDatabase(tmp_path, 2)
+    url = request.getfixturevalue("postgres").database()
+    return lambda: on_postgres(url)
+
+
 @pytest.fixture
-async def database(tmp_path, anyio_backend):
-    database = Database(tmp_path, 2)
+async def database(make, anyio_backend):
+    database = make()
     await database.open()
     yield database
     await database.close()
@@ -67,37 +82,42 @@ def test_newest_revision_is_known():
     assert ScriptDirectory.from_config(config).get_current_head() == NEWEST_REVISION
 
 
-async def test_opening_again_changes_nothing(database, tmp_path):
+async def test_opening_again_changes_nothing(database, make):
     await begin(database)
     await database.close()
-    again = Database(tmp_path, 1)
+    again = make()
     await again.open()
     assert (await again.read(sessions.get, "s")).id == "s"
     await again.close()
 
 
-async def test_database_of_a_newer_release_is_refused(database, tmp_path):
+async def test_database_of_a_newer_release_is_refused(database, make):
     await database.write(lambda connection: connection.execute(text("UPDATE alembic_version SET version_num='9999'")))
     await database.close()
-    again = Database(tmp_path, 1)
+    again = make()
     with pytest.raises(StorageError, match="9999"):
         await again.open()
     await again.close()
 
 
 async def test_commits_are_durable(database):
-    def pragma(connection, name):
-        return connection.execute(text(f"PRAGMA {name}")).scalar()
+    def setting(connection, text_):
+        return connection.execute(text(text_)).scalar()
 
-    found = [await database.write(pragma, name) for name in ("journal_mode", "synchronous", "foreign_keys")]
-    assert found == ["wal", 2, 1]
+    if database.shared:
+        assert await database.write(setting, "SHOW synchronous_commit") == "on"
+    else:
+        names = ("journal_mode", "synchronous", "foreign_keys")
+        assert [await database.write(setting, f"PRAGMA {name}") for name in names] == ["wal", 2, 1]
 
 
-async def test_directory_has_one_user(database, tmp_path):
-    other = Database(tmp_path, 1)
+async def test_directory_has_one_user(tmp_path):
+    database, other = SqliteDatabase(tmp_path, 1), SqliteDatabase(tmp_path, 1)
+    await database.open()
     with pytest.raises(StorageError, match="in use"):
         await other.open()
     await other.close()
+    await database.close()
 
 
 async def test_frame_is_stored_whole(database):
@@ -135,7 +155,7 @@ async def test_every_failing_statement_leaves_nothing(database):
     def fail(*_):
         countdown[0] -= 1
         if countdown[0] == 0:
-            raise sqlite3.OperationalError("disk I/O error")
+            raise OSError("disk I/O error")
 
     event.listen(database.writer, "before_cursor_execute", fail)
     failures = 0
@@ -144,7 +164,7 @@ async def test_every_failing_statement_leaves_nothing(database):
         try:
             await database.write(frames.append, frame(0), KEEP)
             break
-        except (StorageError, sqlite3.OperationalError):
+        except OSError:
             failures += 1
             for table in ("frames", "frame_bodies", "estimates", "particles", "events"):
                 count = lambda connection, t=table: connection.execute(text(f"SELECT count(*) FROM {t}")).scalar()  # noqa: E731

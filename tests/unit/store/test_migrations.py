@@ -9,8 +9,8 @@ from sqlalchemy import create_engine
 
 from service.store import api_keys, models, sessions
 from service.store.base import KeyRecord, ModelRecord, SessionRecord
-from service.store.database import Database
 from service.store.scope import model_key, public_id, session_key, tenant_of
+from service.store.sqlite import SqliteDatabase
 
 pytestmark = pytest.mark.anyio
 
@@ -33,7 +33,7 @@ async def test_rows_from_before_there_were_tenants(tmp_path):
         names = "id, model_id, config, warnings, created_at, updated_at, epoch, next_index, next_seq, background_frames"
         connection.execute(f"INSERT INTO sessions ({names}) VALUES ('s', 'm', '{{}}', '[]', 't', 't', 0, 0, 1, 0)")
     connection.close()
-    database = Database(tmp_path, 1)
+    database = SqliteDatabase(tmp_path, 1)
     await database.open()
     try:
         record = await database.read(sessions.get, session_key("default", "s"))
@@ -54,7 +54,7 @@ async def test_rows_from_before_there_were_tenants(tmp_path):
 
 
 async def test_a_second_user_may_stand_beside_a_service_of_this_release(tmp_path):
-    service, beside = Database(tmp_path, 1), Database(tmp_path, 1)
+    service, beside = SqliteDatabase(tmp_path, 1), SqliteDatabase(tmp_path, 1)
     await service.open()
     await beside.open(beside=True)
     await beside.write(api_keys.add, KeyRecord("k", "h", "acme", "read", "n", "t"))

@@ -5,6 +5,7 @@ from alembic import op
 
 revision = "0001"
 down_revision = None
+NUMBER = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 
 
 def upgrade() -> None:
@@ -31,7 +32,7 @@ def downgrade() -> None:
 def _models_and_sessions() -> None:
     op.create_table(
         "models",
-        sa.Column("number", sa.Integer, nullable=False, autoincrement=True),
+        sa.Column("number", NUMBER, nullable=False, autoincrement=True),
         sa.Column("id", sa.String, nullable=False),
         sa.Column("name", sa.String, nullable=False),
         sa.Column("file_type", sa.String, nullable=False),
@@ -46,7 +47,7 @@ def _models_and_sessions() -> None:
     )
     op.create_table(
         "sessions",
-        sa.Column("number", sa.Integer, nullable=False, autoincrement=True),
+        sa.Column("number", NUMBER, nullable=False, autoincrement=True),
         sa.Column("id", sa.String, nullable=False),
         sa.Column("model_id", sa.String, nullable=False),
         sa.Column("name", sa.String),
@@ -54,9 +55,9 @@ def _models_and_sessions() -> None:
         sa.Column("warnings", sa.JSON, nullable=False),
         sa.Column("created_at", sa.String, nullable=False),
         sa.Column("updated_at", sa.String, nullable=False),
-        sa.Column("epoch", sa.Integer, nullable=False),
-        sa.Column("next_index", sa.Integer, nullable=False),
-        sa.Column("next_seq", sa.Integer, nullable=False),
+        sa.Column("epoch", NUMBER, nullable=False),
+        sa.Column("next_index", NUMBER, nullable=False),
+        sa.Column("next_seq", NUMBER, nullable=False),
         sa.Column("status", sa.String),
         sa.Column("time_s", sa.Float),
         sa.Column("time_given", sa.String),
@@ -82,7 +83,7 @@ def _of_session(table: str, *columns: sa.Column[object], key: str, unique: bool 
     op.create_table(
         table,
         sa.Column("session_id", sa.String, nullable=False),
-        sa.Column(key, sa.Integer, nullable=False, autoincrement=False),
+        sa.Column(key, sa.Integer if key == "ordinal" else NUMBER, nullable=False, autoincrement=False),
         *columns,
         *constraints,
     )
@@ -107,7 +108,7 @@ def _frames() -> None:
         sa.Column("time_s", sa.Float, nullable=False),
         sa.Column("query", sa.JSON, nullable=False),
         sa.Column("created_at", sa.String, nullable=False),
-        sa.Column("epoch", sa.Integer, nullable=False),
+        sa.Column("epoch", NUMBER, nullable=False),
         key="idx",
         unique=True,
     )
@@ -120,6 +121,6 @@ def _history() -> None:
     _of_session(
         "events",
         sa.Column("kind", sa.String, nullable=False),
-        sa.Column("idx", sa.Integer, nullable=False),
+        sa.Column("idx", NUMBER, nullable=False),
         key="seq",
     )

@@ -5,6 +5,7 @@ from alembic import op
 
 revision = "0002"
 down_revision = "0001"
+NUMBER = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 
 
 def upgrade() -> None:
@@ -30,7 +31,7 @@ def _of_session(table: str, key: str, *items: sa.Column[object] | sa.Constraint)
     op.create_table(
         table,
         sa.Column("session_id", sa.String, nullable=False),
-        sa.Column(key, sa.Integer, nullable=False, autoincrement=False),
+        sa.Column(key, sa.Integer if key == "ordinal" else NUMBER, nullable=False, autoincrement=False),
         *items,
         sa.PrimaryKeyConstraint("session_id", key, name=f"pk_{table}"),
         sa.ForeignKeyConstraint(["session_id"], ["sessions.id"], name=f"fk_{table}_session_id", ondelete="CASCADE"),

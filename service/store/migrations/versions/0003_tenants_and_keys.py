@@ -5,6 +5,7 @@ from alembic import op
 
 revision = "0003"
 down_revision = "0002"
+NUMBER = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 
 
 def upgrade() -> None:
@@ -28,7 +29,7 @@ def downgrade() -> None:
 def _keys() -> None:
     op.create_table(
         "api_keys",
-        sa.Column("number", sa.Integer, nullable=False, autoincrement=True),
+        sa.Column("number", NUMBER, nullable=False, autoincrement=True),
         sa.Column("id", sa.String, nullable=False),
         sa.Column("sha256", sa.String, nullable=False),
         sa.Column("tenant", sa.String, nullable=False),
@@ -47,7 +48,7 @@ def _keys() -> None:
 def _audit() -> None:
     op.create_table(
         "audit",
-        sa.Column("number", sa.Integer, nullable=False, autoincrement=True),
+        sa.Column("number", NUMBER, nullable=False, autoincrement=True),
         sa.Column("at", sa.String, nullable=False),
         sa.Column("tenant", sa.String, nullable=False),
         sa.Column("actor", sa.String, nullable=False),
