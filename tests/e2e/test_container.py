@@ -1,9 +1,10 @@
-"""The image: built as anybody would build it, its service answers and holds the bundled satellite's pass."""
+"""The image: built as anybody would build it, its service answers and holds the bundled satellite's pass, and where the
+machine allows mounts, with a root that nothing can write to."""
 
 import json
 import os
+import re
 import shutil
-import signal
 import socket
 import subprocess
 import time
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from image_root import ImageRoot, buildah, can_mount, mounted, running
 
 from service.cli.demo_pass import DemoPass, judge
 from service.cli.model_file import read_model_file
@@ -23,15 +25,8 @@ TAG = "skypose-test"
 FRAMES = 30
 MOST_BYTES = 1.2e9
 START_LIMIT_S = 120.0
-STORAGE = {**os.environ, "BUILDAH_ISOLATION": "chroot", "STORAGE_DRIVER": "vfs"}
 
 pytestmark = pytest.mark.timeout(1500)
-
-
-def buildah(*arguments: str) -> str:
-    return subprocess.run(
-        ["buildah", *arguments], env=STORAGE, check=True, capture_output=True, text=True, timeout=300
-    ).stdout
 
 
 @pytest.fixture(scope="module")
@@ -60,27 +55,27 @@ def image(builder: Path, root: Path) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def url(builder: Path, image: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A service started from the image."""
+def files(image: str) -> Iterator[ImageRoot]:
+    """The image's files."""
+    with mounted(image) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def url(builder: Path, files: ImageRoot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A service started from the image; its root is read-only where mounts are allowed."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
+    words = ["skypose", "serve", "--host", "127.0.0.1", "--port", str(port), "--data", "/data"]
+    command = files.command(*words) if can_mount() else [str(builder), "--run", TAG, *words]
     log = tmp_path_factory.mktemp("container") / "service.log"
-    command = ["skypose", "serve", "--host", "127.0.0.1", "--port", str(port), "--data", "/data"]
-    with log.open("wb") as sink:
-        # A session of its own, so that the service, the shell around it and the container's set-up end together.
-        process = subprocess.Popen(
-            [builder, "--run", image, *command], stdout=sink, stderr=subprocess.STDOUT, start_new_session=True
-        )
-    try:
+    with running(command, log) as process:
         wait_until_ready(f"http://127.0.0.1:{port}", process, log)
         yield f"http://127.0.0.1:{port}"
-    finally:
-        os.killpg(process.pid, signal.SIGTERM)
-        process.wait(120)
 
 
-def wait_until_ready(url: str, process: subprocess.Popen[bytes], log: Path) -> None:
+def wait_until_ready(url: str, process: "subprocess.Popen[bytes]", log: Path) -> None:
     until = time.monotonic() + START_LIMIT_S
     while process.poll() is None and time.monotonic() < until:
         try:
@@ -95,6 +90,26 @@ def wait_until_ready(url: str, process: subprocess.Popen[bytes], log: Path) -> N
 def test_is_small(image: str) -> None:
     manifest = json.loads(buildah("inspect", "--type", "image", "--format", "{{.Manifest}}", f"localhost/{image}"))
     assert sum(layer["size"] for layer in manifest["layers"]) < MOST_BYTES
+
+
+def test_tells_what_it_holds(files: ImageRoot, root: Path) -> None:
+    document = json.loads((files.path / "usr" / "share" / "skypose" / "sbom.cdx.json").read_text())
+    held = {component["purl"].partition("?")[0] for component in document["components"]}
+    locked = re.findall(r"^([\w.-]+)==([^ ;\\]+)", (root / "requirements.lock").read_text(), flags=re.M)
+    for name in ("numpy", "fastapi", "pyopencl"):
+        assert f"pkg:pypi/{name}@{dict(locked)[name]}" in held
+    debian = {purl.partition("@")[0] for purl in held}
+    assert {"pkg:deb/debian/pocl-opencl-icd", "pkg:deb/debian/libegl1", "pkg:deb/debian/libc6"} <= debian
+
+
+def test_nothing_can_write_to_its_root(files: ImageRoot) -> None:
+    if not can_mount():
+        pytest.skip("no mount namespace on this machine")
+    for place in ("/usr/x", "/etc/x", "/opt/skypose/x", "/var/x"):
+        refused = files.run("python3", "-c", f"open({place!r}, 'w')")
+        assert "Read-only file system" in refused.stderr
+    allowed = files.run("python3", "-c", "[open(d + '/x', 'w') for d in ('/tmp', '/data', '/var/cache/skypose')]")
+    assert allowed.returncode == 0, allowed.stderr
 
 
 def test_tracks_the_demo_pass(url: str) -> None:
