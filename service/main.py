@@ -50,7 +50,8 @@ from service.store.database import Database
 from service.workers.engine import Engine, Transport
 from service.workers.inspector import Inspector
 from service.workers.limits import DecodeLimits
-from service.workers.process import TRACKER, ProcessTransport
+from service.workers.pool import ProcessTransport
+from service.workers.process import TRACKER
 
 log = structlog.get_logger(__name__)
 VIEWER = Path(__file__).parent / "viewer"

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.bench_engines import engines
 from service.cli.bench_scorers import scorers
 from service.cli.bench_step import step
 
@@ -31,6 +32,7 @@ Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE
 
 bench.command()(scorers)
 bench.command()(step)
+bench.command()(engines)
 
 
 @bench.command()

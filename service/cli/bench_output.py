@@ -19,7 +19,7 @@ _FILE_WIDTH = 200
 def publish(
     document: Mapping[str, Any],
     tables: Sequence[Table | str],
-    draw: Callable[[str], Figure],
+    draw: Callable[[str], Figure] | None,
     json: Path | None,
     plot: Path | None,
 ) -> None:
@@ -40,7 +40,7 @@ def publish(
         console.print(f"{name}: not measured: {reason}", highlight=False)
     if json is not None:
         json.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2))
-    if plot is not None:
+    if draw is not None and plot is not None:
         draw(caption).savefig(plot, dpi=110)
 
 

@@ -35,7 +35,8 @@ def run(settings: Settings, worker: str | None = None) -> None:
     from service.cli import logs
     from service.errors import SkyposeError
     from service.workers.limits import DecodeLimits
-    from service.workers.process import TRACKER, ProcessTransport
+    from service.workers.pool import ProcessTransport
+    from service.workers.process import TRACKER
 
     logs.configure(settings.log_level, settings.log_format)
     if settings.needs_credential:

@@ -6,10 +6,25 @@ import os
 from multiprocessing.connection import Connection
 from typing import Any
 
+_SHARED = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "OPENCV_FOR_THREADS_NUM")
+_SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
-def run(channel: Connection, factory: str, arguments: tuple[Any, ...], nice: int) -> None:
-    """Body of a worker process: see ``service.workers.host``."""
+
+def run(channel: Connection, factory: str, arguments: tuple[Any, ...], nice: int, threads: int) -> None:
+    """Body of a worker process: see ``service.workers.host``. ``threads``: its share of the cores."""
+    limit_threads(threads)
     from service.workers.host import serve
 
     os.nice(nice)  # the web process answers first, where they share their cores
     serve(channel, factory, arguments)
+
+
+def limit_threads(threads: int) -> None:
+    """Set before NumPy, OpenCV and PoCL are loaded, which would each start a thread for every core.
+
+    BLAS has one, whatever the share: the matrices here are small, and a sum must not depend on the number of cores.
+    """
+    for name in _SHARED:
+        os.environ.setdefault(name, str(threads))
+    for name in _SINGLE:
+        os.environ.setdefault(name, "1")

@@ -10,7 +10,6 @@ import asyncio
 import multiprocessing
 import pickle
 import threading
-import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -51,6 +50,7 @@ class WorkerProcess:
         start_timeout_s: float,
         arguments: tuple[Any, ...] = (),
         nice: int = 0,
+        threads: int = 1,
     ) -> None:
         self.name = name
         self.description: Mapping[str, Any] = {}
@@ -58,6 +58,7 @@ class WorkerProcess:
         self._factory = factory
         self._arguments = arguments  # of the factory: plain data
         self._nice = nice
+        self._threads = threads  # of each library that would start one per core
         self._timeout_s = timeout_s
         self._start_timeout_s = start_timeout_s
         self._child: _Child | None = None
@@ -116,7 +117,7 @@ class WorkerProcess:
         if self._child is not None:
             return self._child
         here, there = _CONTEXT.Pipe()
-        arguments = (there, self._factory, self._arguments, self._nice)
+        arguments = (there, self._factory, self._arguments, self._nice, self._threads)
         process = _CONTEXT.Process(target=run, args=arguments, name=f"skypose-{self.name}", daemon=True)
         process.start()
         there.close()  # so that the end of the process is the end of the pipe
@@ -176,64 +177,3 @@ def _end(child: _Child) -> None:
     child.process.join()
     child.process.close()
     child.channel.close()
-
-
-class ProcessTransport:
-    """Tracking processes, sessions pinned by key, and one beside them for models and overlays.
-
-    Preparing a large mesh takes seconds; on a process of its own it holds up no frame.
-    """
-
-    def __init__(
-        self,
-        factory: str,
-        workers: int,
-        timeout_s: float,
-        start_timeout_s: float,
-        arguments: tuple[Any, ...] = (),
-        nice: int = 0,
-    ) -> None:
-        names = [*(f"track-{n}" for n in range(workers)), "side"]
-        *self.workers, self.side = [
-            WorkerProcess(name, factory, timeout_s, start_timeout_s, arguments, nice) for name in names
-        ]
-        self._side_start: asyncio.Task[None] | None = None
-
-    def prestart(self) -> None:
-        """Begin to bring the tracking processes up, beside whatever else the program does to start."""
-        for worker in self.workers:
-            worker.prestart()
-
-    @property
-    def ready(self) -> bool:
-        """Whether every tracking process is up."""
-        return all(worker.ready for worker in self.workers)
-
-    @property
-    def restarts(self) -> int:
-        """Losses so far, over all processes."""
-        return sum(worker.restarts for worker in (*self.workers, self.side))
-
-    def processes(self) -> list[dict[str, Any]]:
-        """The worker processes, for operators."""
-        return [
-            {"name": worker.name, "pid": worker.pid, "ready": worker.ready, "restarts": worker.restarts}
-            for worker in (*self.workers, self.side)
-        ]
-
-    async def start(self) -> None:
-        """Bring the tracking processes up; the one beside them follows on its own."""
-        await asyncio.gather(*(worker.start() for worker in self.workers))
-        self._side_start = asyncio.create_task(self.side.start())
-
-    async def call(self, key: str | None, method: str, job: object) -> Any:
-        """Run a job of session ``key``, or beside the tracking where it is None."""
-        if key is None:
-            return await self.side.call(method, job)
-        return await self.workers[zlib.crc32(key.encode()) % len(self.workers)].call(method, job)
-
-    async def close(self) -> None:
-        """Finish what is in hand and end every process."""
-        if self._side_start is not None:
-            await asyncio.gather(self._side_start, return_exceptions=True)
-        await asyncio.gather(*(worker.close() for worker in (*self.workers, self.side)))

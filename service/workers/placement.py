@@ -1,0 +1,103 @@
+"""Which worker takes a session's next job: its own, unless another would have it done sooner.
+
+Any worker may take any job, since a job brings its state; a worker's caches only make it faster. So a session stays
+where it is while that costs it nothing, goes where there is room when it would have to wait, and leaves a worker
+that is lost or drained.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+KNOWN_MODELS = 8  # of a worker: as many as its cache holds
+KNOWN_SESSIONS = 100_000
+UNKNOWN_MODEL = 4  # jobs that could be done in the time that preparing a model takes
+BUSIER = 2  # jobs more than elsewhere, for which a session leaves a worker where others are busy too
+
+
+@dataclass
+class _Place:
+    load: int = 0  # jobs under way or waiting
+    sessions: int = 0  # that live there
+    models: OrderedDict[str, None] = field(default_factory=OrderedDict)
+
+
+class Placement:
+    """Loads, homes and warm caches. Used by one thread, the event loop's."""
+
+    def __init__(self, workers: Iterable[str] = ()) -> None:
+        self._places: dict[str, _Place] = {worker: _Place() for worker in workers}
+        self._homes: OrderedDict[str, str] = OrderedDict()
+
+    @property
+    def workers(self) -> tuple[str, ...]:
+        """Those that take jobs."""
+        return tuple(self._places)
+
+    def add(self, worker: str) -> None:
+        """A worker that is ready, with empty caches."""
+        self._places[worker] = _Place()
+
+    def remove(self, worker: str) -> None:
+        """A worker that takes no more jobs; its sessions move with their next one."""
+        self._places.pop(worker, None)
+
+    def forget(self, worker: str) -> None:
+        """The worker began anew: its caches are empty."""
+        if worker in self._places:
+            self._places[worker].models.clear()
+
+    def take(self, session: str, model: str | None) -> str:
+        """The worker for a job, which counts for its load until ``done``. Raises ``LookupError`` if there is none."""
+        if not self._places:
+            raise LookupError("no worker is left")
+        worker = self._choose(self._homes.get(session), model)
+        self._settle(session, worker)
+        place = self._places[worker]
+        place.load += 1
+        if model is not None:
+            place.models[model] = None
+            place.models.move_to_end(model)
+            if len(place.models) > KNOWN_MODELS:
+                place.models.popitem(last=False)
+        return worker
+
+    def done(self, worker: str) -> None:
+        """A job has ended, well or not."""
+        if worker in self._places:
+            self._places[worker].load -= 1
+
+    def load(self, worker: str) -> int:
+        """Jobs under way or waiting at a worker."""
+        return self._places[worker].load
+
+    def sessions(self, worker: str) -> int:
+        """Sessions that live at a worker."""
+        return self._places[worker].sessions
+
+    def _choose(self, home: str | None, model: str | None) -> str:
+        def cost(worker: str) -> tuple[int, int, int]:
+            place = self._places[worker]
+            prepares = UNKNOWN_MODEL if model is not None and model not in place.models else 0
+            return place.load + prepares, len(place.models), place.sessions  # models are what takes memory
+
+        best = min(self._places, key=cost)
+        if home is None or home not in self._places:
+            return best
+        waiting, elsewhere = cost(home)[0], cost(best)[0]
+        return best if waiting > elsewhere == 0 or waiting - elsewhere >= BUSIER else home
+
+    def _settle(self, session: str, worker: str) -> None:
+        before = self._homes.get(session)
+        if before != worker:
+            if before in self._places:
+                self._places[before].sessions -= 1
+            self._places[worker].sessions += 1
+        self._homes[session] = worker
+        self._homes.move_to_end(session)
+        if len(self._homes) > KNOWN_SESSIONS:
+            _, left = self._homes.popitem(last=False)
+            if left in self._places:
+                self._places[left].sessions -= 1

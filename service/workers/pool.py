@@ -1,0 +1,88 @@
+"""The worker processes of this machine: some that track, and one beside them."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from typing import Any
+
+from service.workers.base import PackedFrameJob
+from service.workers.placement import Placement
+from service.workers.process import WorkerProcess
+
+
+class ProcessTransport:
+    """Tracking processes among which sessions are spread, and one beside them for models and overlays.
+
+    Preparing a large mesh takes seconds; on a process of its own it holds up no frame.
+    """
+
+    def __init__(
+        self,
+        factory: str,
+        workers: int,
+        timeout_s: float,
+        start_timeout_s: float,
+        arguments: tuple[Any, ...] = (),
+        nice: int = 0,
+    ) -> None:
+        names = [*(f"track-{n}" for n in range(workers)), "side"]
+        threads = max(1, len(os.sched_getaffinity(0)) // workers)
+        *self.workers, self.side = [
+            WorkerProcess(name, factory, timeout_s, start_timeout_s, arguments, nice, threads) for name in names
+        ]
+        self._by_name = {worker.name: worker for worker in self.workers}
+        self._placement = Placement(self._by_name)
+        self._side_start: asyncio.Task[None] | None = None
+
+    def prestart(self) -> None:
+        """Begin to bring the tracking processes up, beside whatever else the program does to start."""
+        for worker in self.workers:
+            worker.prestart()
+
+    @property
+    def ready(self) -> bool:
+        """Whether every tracking process is up."""
+        return all(worker.ready for worker in self.workers)
+
+    @property
+    def restarts(self) -> int:
+        """Losses so far, over all processes."""
+        return sum(worker.restarts for worker in (*self.workers, self.side))
+
+    def processes(self) -> list[dict[str, Any]]:
+        """The worker processes, for operators."""
+        return [
+            {"name": worker.name, "pid": worker.pid, "ready": worker.ready, "restarts": worker.restarts}
+            for worker in (*self.workers, self.side)
+        ]
+
+    async def start(self) -> None:
+        """Bring the tracking processes up; the one beside them follows on its own."""
+        await asyncio.gather(*(worker.start() for worker in self.workers))
+        self._side_start = asyncio.create_task(self.side.start())
+
+    async def call(self, key: str | None, method: str, job: object) -> Any:
+        """Run a job of session ``key``, or beside the tracking where it is None."""
+        if key is None:
+            return await self.side.call(method, job)
+        name = self._placement.take(key, model_of(job))
+        worker = self._by_name[name]
+        restarts = worker.restarts
+        try:
+            return await worker.call(method, job)
+        finally:
+            self._placement.done(name)
+            if worker.restarts != restarts:
+                self._placement.forget(name)
+
+    async def close(self) -> None:
+        """Finish what is in hand and end every process."""
+        if self._side_start is not None:
+            await asyncio.gather(self._side_start, return_exceptions=True)
+        await asyncio.gather(*(worker.close() for worker in (*self.workers, self.side)))
+
+
+def model_of(job: object) -> str | None:
+    """The model that a job needs prepared; None for jobs that need none."""
+    return job.job.model if isinstance(job, PackedFrameJob) else None
