@@ -11,10 +11,11 @@ from typing import Annotated
 import typer
 
 from service.cli.bench_engines import engines
+from service.cli.bench_load import load
 from service.cli.bench_scorers import scorers
 from service.cli.bench_step import step
 
-bench = typer.Typer(name="bench", no_args_is_help=True, help="Benchmarks: accuracy, calibration and time.")
+bench = typer.Typer(name="bench", no_args_is_help=True, help="Benchmarks: accuracy, calibration, time, load.")
 
 Folder = Annotated[Path | None, typer.Argument(help="Folder of sequences (case.json in each), or one sequence.")]
 Names = Annotated[list[str] | None, typer.Option("--case", help="Only this sequence; may be repeated.")]
@@ -32,6 +33,7 @@ Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE
 
 bench.command()(scorers)
 bench.command()(step)
+bench.command()(load)
 bench.command()(engines)
 
 

@@ -1,4 +1,4 @@
-"""The service as a child process, for the demo."""
+"""The service as a child process, for the demo and the load benchmark."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -24,9 +25,10 @@ class DemoError(Exception):
 class ServiceProcess:
     """Starts ``skypose serve`` and ends it; a context manager."""
 
-    def __init__(self, host: str, port: int, folder: Path) -> None:
+    def __init__(self, host: str, port: int, folder: Path, options: Sequence[str] = ()) -> None:
+        """``options`` are those of ``skypose serve`` beside host, port and data directory."""
         self.url = f"http://{host}:{port}"
-        self._host, self._port, self._folder = host, port, folder
+        self._host, self._port, self._folder, self._options = host, port, folder, options
         self._log = folder / "service.log"
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -35,7 +37,7 @@ class ServiceProcess:
         command = [sys.executable, "-m", "service", "serve", "--host", self._host, "--port", str(self._port)]
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                [*command, "--data", str(self._folder / "data")], stdout=log, stderr=subprocess.STDOUT
+                [*command, "--data", str(self._folder / "data"), *self._options], stdout=log, stderr=subprocess.STDOUT
             )
         try:
             self._wait_until_ready()
@@ -48,6 +50,12 @@ class ServiceProcess:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the web process."""
+        assert self._process is not None, "started by entering the context"
+        return self._process.pid
 
     def wait(self) -> None:
         """Until the service ends by itself, or Ctrl-C."""
