@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
+import uuid
 from collections.abc import AsyncIterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
@@ -22,21 +23,25 @@ from service.access.gate import Gate
 from service.access.keys import Keys
 from service.access.limits import Limits
 from service.access.oidc import open_oidc
-from service.access.tickets import Tickets
+from service.access.peers import Peers
+from service.access.tickets import OwnTickets, SharedTickets
 from service.api import access, checkpoint, estimates, frames, health, models, problems, schemas, sessions, stream
 from service.api.bodies import BodyLimits
 from service.api.description import DescribedApi
 from service.api.flow import Flow
+from service.api.forwarding import Forwarding
 from service.api.guard import Guard, page_policies
 from service.api.observe import Observe
 from service.api.services import Services
 from service.api.submissions import Submissions
-from service.errors import StorageError
+from service.ears import Ears
+from service.errors import ConfigError, StorageError
 from service.metrics import Metrics
 from service.sessions.admission import Admission, Places
 from service.sessions.archive import Archive
 from service.sessions.batch import Batches
 from service.sessions.checkpoint import Checkpoints
+from service.sessions.cluster import Cluster
 from service.sessions.hub import Hub
 from service.sessions.library import Library
 from service.sessions.line import Line
@@ -47,6 +52,8 @@ from service.settings import MEBIBYTE, Settings
 from service.store.base import Quotas, Retention
 from service.store.choice import database_of
 from service.store.database import Database
+from service.store.instances import Instance
+from service.store.postgres import PostgresDatabase
 from service.workers.engine import Engine, Transport
 from service.workers.inspector import Inspector
 from service.workers.limits import DecodeLimits
@@ -72,9 +79,10 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
             settings.worker_nice,
         )
     )
-    database = database_of(settings)
+    me = Instance(str(uuid.uuid4()), settings.own_url)
+    database = database_of(settings, me.id)
     inspector = Inspector(limits)
-    services = _build(settings, engine, database, inspector)
+    services = _build(settings, engine, database, inspector, me)
     app = DescribedApi(
         title="skypose",
         version=health.release(),
@@ -96,7 +104,7 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     return app
 
 
-def _build(settings: Settings, engine: Engine, database: Database, inspector: Inspector) -> Services:
+def _build(settings: Settings, engine: Engine, database: Database, inspector: Inspector, me: Instance) -> Services:
     metrics = Metrics()
     hub = Hub(
         database,
@@ -112,9 +120,15 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
     line = Line(settings.session_inbox_frames, settings.max_waiting_frames)
     rooms = Rooms(engine, inspector, database, hub, metrics, retention, line)
     registry = Registry(
-        rooms, idle_s=settings.session_idle_s, max_resident=settings.max_resident_sessions, quotas=quotas
+        rooms,
+        idle_s=settings.session_idle_s,
+        max_resident=settings.max_resident_sessions,
+        quotas=quotas,
+        me=me.id if database.shared else None,
     )
-    keys, tickets = Keys(database, settings.credential_cache_s, settings.quota_keys), Tickets(settings.ticket_s)
+    keys = Keys(database, settings.credential_cache_s, settings.quota_keys)
+    tickets = SharedTickets(database, settings.ticket_s) if database.shared else OwnTickets(settings.ticket_s)
+    forwarding = _forwarding(settings, database, me, Ears(hub, registry, keys), metrics)
     return Services(
         settings=settings,
         metrics=metrics,
@@ -128,6 +142,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         status=Status(database, engine),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),
         submissions=Submissions(),
+        forwarding=forwarding,
         gate=Gate(settings, keys, open_oidc(settings), tickets),
         keys=keys,
         tickets=tickets,
@@ -135,6 +150,17 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         audit=Audit(database, settings.audit_days, settings.audit_max_entries),
         started=datetime.now(UTC),
     )
+
+
+def _forwarding(settings: Settings, database: Database, me: Instance, ears: Ears, metrics: Metrics) -> Forwarding:
+    """Between the processes of one PostgreSQL database; with SQLite there is no other."""
+    if not isinstance(database, PostgresDatabase):
+        return Forwarding(ears.registry, metrics, None, None, 0.0)
+    if settings.port == 0 and not settings.instance_url:
+        raise ConfigError("with port 0 the other processes must be told how to reach it", field="SKYPOSE_INSTANCE_URL")
+    cluster = Cluster(database, me, settings.lease_s, ears.heard, ears.resumed)
+    patience_s = settings.database_wait_s + 2 * settings.lease_s
+    return Forwarding(ears.registry, metrics, cluster, Peers(database, me.id), patience_s)
 
 
 @contextlib.asynccontextmanager
@@ -150,6 +176,7 @@ async def _lifespan(
         stack.callback(inspector.close)
         await engine.transport.start()
         stack.push_async_callback(services.submissions.close)
+        await stack.enter_async_context(_among_others(services.forwarding))
         stack.push_async_callback(services.registry.close)
         stack.callback(services.hub.stop)
         housekeeping = asyncio.create_task(_keep_house(services, engine))
@@ -157,6 +184,21 @@ async def _lifespan(
         log.info("ready", version=app.version)
         yield
     log.info("stopped")
+
+
+@contextlib.asynccontextmanager
+async def _among_others(forwarding: Forwarding) -> AsyncIterator[None]:
+    """Own sessions only within this, where several processes share the database."""
+    if forwarding.cluster is None:
+        yield
+        return
+    await forwarding.open()
+    await forwarding.cluster.start()
+    try:
+        yield
+    finally:
+        await forwarding.cluster.stop()
+        await forwarding.close()
 
 
 async def _keep_house(services: Services, engine: Engine) -> None:

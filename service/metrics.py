@@ -44,6 +44,14 @@ class Metrics:
             buckets=(0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0),
             registry=self.registry,
         )
+        self.forwarded = Counter(
+            "skypose_forwarded_calls_total",
+            "Calls handed on to the process that has the session",
+            registry=self.registry,
+        )
+        self.fenced = Counter(
+            "skypose_fenced_frames_total", "Frames not stored, as another took the session", registry=self.registry
+        )
         self.evictions = Counter("skypose_evictions_total", "Idle sessions that left memory", registry=self.registry)
         self.resident_sessions = self._gauge("skypose_resident_sessions", "Sessions in memory")
         self.waiting_frames = self._gauge("skypose_waiting_frames", "Frames waiting or under way")

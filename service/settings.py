@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from ipaddress import ip_address
 from pathlib import Path
+from socket import gethostname
 from typing import Annotated, Literal
 
 from pydantic import Field, SecretStr
@@ -181,6 +182,12 @@ class Settings(BaseSettings):
     def needs_credential(self) -> bool:
         """Whether calls must show a credential: always, never, or wherever others than this machine can reach it."""
         return self.auth == "required" or (self.auth == "auto" and not _is_loopback(self.host))
+
+    @property
+    def own_url(self) -> str:
+        """How other processes on the same database reach this one."""
+        host = gethostname() if self.host in ("0.0.0.0", "::") else self.host
+        return (self.instance_url or f"http://{f'[{host}]' if ':' in host else host}:{self.port}").rstrip("/")
 
 
 def _is_loopback(host: str) -> bool:

@@ -16,6 +16,7 @@ MAX_FUNCTION_LINES = 60
 ROOMS: dict[str, set[str]] = {
     "service.main": {"everything"},
     "service.__main__": {"everything"},
+    "service.ears": {"access", "sessions", "store", "errors"},
     "service.cli": {"everything"},
     "service.client": {"remote", "api"},
     "service.remote": {"api"},

@@ -60,7 +60,7 @@ class Gate:
                 f"calls from {shown.origin} are not taken", field="header:Origin", setting="SKYPOSE_ALLOWED_ORIGINS"
             )
         if shown.ticket is not None:
-            return self._tickets.redeem(shown.ticket)
+            return await self._tickets.redeem(shown.ticket)
         if shown.authorization is not None and self._settings.auth != "off":  # else it is for whoever stands before us
             return await self._verify(shown.authorization)
         if self._needs_credential:

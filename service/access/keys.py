@@ -88,6 +88,10 @@ class Keys:
     async def revoke(self, tenant: str, key_id: str) -> None:
         """End a tenant's key, at once. Raises ``NotFoundError``."""
         await self._database.write(api_keys.revoke, tenant, key_id, utc_text(datetime.now(UTC)))
+        self.forget(key_id)
+
+    def forget(self, key_id: str | None = None) -> None:
+        """Look a key up again with its next call; without one, every key."""
         self._remembered.forget(key_id)
 
     async def is_active(self, key_id: str) -> bool:

@@ -31,8 +31,10 @@ class Remembered:
         if len(self._found) > MOST:
             self._found.popitem(last=False)
 
-    def forget(self, key_id: str) -> None:
-        """Forget every credential of a key."""
+    def forget(self, key_id: str | None) -> None:
+        """Forget every credential of a key, or of all (None)."""
+        if key_id is None:
+            self._found.clear()
         for digest in [digest for digest, (_, principal) in self._found.items() if principal.key_id == key_id]:
             del self._found[digest]
 

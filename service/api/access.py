@@ -115,7 +115,7 @@ async def who_am_i(caller: Reader) -> dict[str, Any]:
 async def make_ticket(caller: Reader, services: ServicesDep, response: Response) -> dict[str, Any]:
     """A ticket for one stream of a browser, which cannot send a key with it: `…/stream?ticket=…`."""
     response.headers["Cache-Control"] = "no-store"
-    return {"ticket": services.tickets.issue(caller), "expires_in_s": services.tickets.lifetime_s}
+    return {"ticket": await services.tickets.issue(caller), "expires_in_s": services.tickets.lifetime_s}
 
 
 @router.post(

@@ -14,7 +14,9 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from service.access.gate import Shown
+from service.access.peers import FORWARDED, HEADER
 from service.access.principal import ModelKey, Principal, Role, SessionKey
+from service.api.forwarding import target_of
 from service.api.services import services_of
 
 TICKETS_FOR = ("/stream", "/events")
@@ -25,6 +27,11 @@ async def admit(connection: HTTPConnection) -> Principal:
     """Who calls, after one look at credentials, origin and rate. Raises what the gate and the limits do."""
     services = services_of(connection)
     headers = connection.headers
+    peers, token = services.forwarding.peers, headers.get(HEADER)
+    if peers is not None and token is not None:  # admitted and counted where it came in
+        principal = peers.verify(token, connection.scope["method"], target_of(connection))
+        connection.scope.setdefault("state", {}).update({PRINCIPAL: principal, FORWARDED: True})
+        return principal
     takes_tickets = connection.url.path.endswith(TICKETS_FOR)
     principal = await services.gate.admit(
         Shown(

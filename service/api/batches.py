@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 
-import orjson
 import structlog
 from starlette.responses import StreamingResponse
 
 from service.access.principal import Principal, SessionKey
-from service.api.problems import problem_document
+from service.api.problems import NDJSON, problem_line
 from service.api.services import Services
 from service.errors import InputError, SkyposeError
 from service.sessions.frame import Answer, FrameIn
 
-NDJSON = "application/x-ndjson"
 log = structlog.get_logger(__name__)
 
 
@@ -47,4 +45,4 @@ async def _lines(first: Answer, answers: AsyncIterator[Answer]) -> AsyncIterator
             yield answer.document + b"\n"
     except SkyposeError as error:
         log.info("batch ended", problem=error.slug)
-        yield orjson.dumps(problem_document(error)) + b"\n"
+        yield problem_line(error)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.access.peers import FORWARDED
 from service.access.principal import Principal
 from service.api.auth import PRINCIPAL
 from service.api.problems import problem_response
@@ -84,8 +85,9 @@ class BodyLimits:
 
 def _charge(services: Services, scope: Scope, size: int, *, first: bool) -> None:
     """Count bytes for the caller; whoever is in debt is refused at the first, not in the middle."""
-    caller: Principal | None = scope.get("state", {}).get(PRINCIPAL)
-    if caller is not None:
+    state = scope.get("state", {})
+    caller: Principal | None = state.get(PRINCIPAL)
+    if caller is not None and not state.get(FORWARDED):  # else they were counted where the call came in
         if first:
             services.limits.check(caller, "bytes")
         services.limits.take(caller, "bytes", size)

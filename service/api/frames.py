@@ -14,13 +14,15 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from service.access.principal import Principal, SessionKey, public_id
 from service.api import schemas
-from service.api.auth import OperateSession, Operator, ReadSession
+from service.api.auth import OperateSession, Operator, Reader, ReadSession
 from service.api.batches import stream_batch
 from service.api.bodies import idempotency_key, media_type, read_body, wants_async
+from service.api.forwarding import Call
 from service.api.paging import problems
 from service.api.services import Services, ServicesDep
 from service.errors import InputError
 from service.sessions.frame import Answer, BackgroundIn, FrameIn
+from service.sessions.session import Session
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["frames"])
 _MEDIA_TYPES = (
@@ -90,10 +92,11 @@ async def add_background(
     request: Request,
     services: ServicesDep,
     query: Annotated[BackgroundQuery, Query()],
-) -> dict[str, Any]:
+) -> Response:
     """Teach the session what empty sky looks like: one image, or a multi-frame file."""
     services.limits.check(caller, "pixels")
     await services.registry.require_room(session)
+    forwarding = services.forwarding
     box = None if query.box is None else _box(query.box)
     if box is not None and query.border is not None:
         raise InputError("give box or border, not both", field="query:border")
@@ -102,14 +105,17 @@ async def add_background(
         body=body,
         sha256=sha256,
         media_type=media_type(request),
-        idempotency_key=idempotency_key(request),
+        idempotency_key=idempotency_key(request) or forwarding.key_for_retries(),
         box=box,
         border_px=query.border,
     )
-    owner = await services.registry.get(session)
-    answer = await owner.submit_background(image)
-    services.limits.take(caller, "pixels", owner.frame_pixels)
-    return {"background_frames": answer.background_frames, "state": answer.state}
+
+    async def here(owner: Session) -> Response:
+        answer = await owner.submit_background(image)
+        services.limits.take(caller, "pixels", owner.frame_pixels)
+        return _json(orjson.dumps({"background_frames": answer.background_frames, "state": answer.state}))
+
+    return await forwarding.at_owner(Call.of(request, session, caller, body, image.idempotency_key), here)
 
 
 @router.post(
@@ -148,12 +154,17 @@ async def put_frame(
     response_model=schemas.Estimate,
     responses={202: {"model": schemas.Submission, "description": "Under way"}, **problems(404)},
 )
-async def read_submission(session: ReadSession, key: str, services: ServicesDep) -> Response:
+async def read_submission(
+    session: ReadSession, caller: Reader, key: str, request: Request, services: ServicesDep
+) -> Response:
     """What became of a frame posted with this Idempotency-Key, or with `Prefer: respond-async`."""
     document = await services.archive.by_key(session, key)
     if document is not None:
         return _json(document)
     if not services.submissions.pending(session, key):
+        elsewhere = await services.forwarding.at_peer(Call.of(request, session, caller))
+        if elsewhere is not None:
+            return elsewhere
         await services.archive.require_key(session, key)
     return _accepted(session, key)
 
@@ -167,6 +178,8 @@ async def _take(
     body, sha256 = await read_body(request)
     in_background = wants_async(request)
     key = idempotency_key(request) or (str(uuid.uuid4()) if in_background else None)
+    if index is None:
+        key = key or services.forwarding.key_for_retries()
     frame = FrameIn(
         body=body,
         sha256=sha256,
@@ -177,16 +190,21 @@ async def _take(
         time=query.time,
         query=query.model_dump(mode="json", exclude_none=True),
     )
-    if await services.batches.is_batch(body, frame.media_type):
-        return await stream_batch(services, session, caller, frame, in_background)
-    owner = await services.registry.get(session)
-    answer = owner.submit(frame)
-    services.limits.take(caller, "pixels", owner.frame_pixels)
-    if in_background and key is not None:
-        services.submissions.follow(session, key, _held(services, len(body), answer))
-        return _accepted(session, key)
-    result = await answer
-    return _json(result.document, {"Content-Location": f"/v1/sessions/{public_id(session)}/estimates/{result.index}"})
+    is_batch = await services.batches.is_batch(body, frame.media_type)
+
+    async def here(owner: Session) -> Response:
+        if is_batch:
+            return await stream_batch(services, session, caller, frame, in_background)
+        answer = owner.submit(frame)
+        services.limits.take(caller, "pixels", owner.frame_pixels)
+        if in_background and key is not None:
+            services.submissions.follow(session, key, _held(services, len(body), answer))
+            return _accepted(session, key)
+        result = await answer
+        location = f"/v1/sessions/{public_id(session)}/estimates/{result.index}"
+        return _json(result.document, {"Content-Location": location})
+
+    return await services.forwarding.at_owner(Call.of(request, session, caller, body, key), here)
 
 
 async def _held(services: Services, size: int, answer: asyncio.Future[Answer]) -> None:

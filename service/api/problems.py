@@ -15,6 +15,7 @@ from service.errors import BusyError, InputError, SkyposeError, UnauthorizedErro
 
 log = structlog.get_logger(__name__)
 MEDIA_TYPE = "application/problem+json"
+NDJSON = "application/x-ndjson"
 _PREFIX = "urn:skypose:problem:"
 
 
@@ -35,6 +36,11 @@ def problem_document(error: SkyposeError) -> dict[str, Any]:
     if error.field is not None:
         body["field"] = error.field
     return body
+
+
+def problem_line(error: SkyposeError) -> bytes:
+    """The last line of an answer of lines (``NDJSON``) that broke off."""
+    return orjson.dumps(problem_document(error)) + b"\n"
 
 
 def problem_response(error: SkyposeError) -> Response:

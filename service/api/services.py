@@ -14,6 +14,7 @@ from service.access.gate import Gate
 from service.access.keys import Keys
 from service.access.limits import Limits
 from service.access.tickets import Tickets
+from service.api.forwarding import Forwarding
 from service.api.submissions import Submissions
 from service.metrics import Metrics
 from service.sessions.admission import Admission, Places
@@ -43,6 +44,7 @@ class Services:
     status: Status
     admission: Admission
     submissions: Submissions
+    forwarding: Forwarding
     gate: Gate
     keys: Keys
     tickets: Tickets

@@ -9,6 +9,8 @@ from fastapi import APIRouter, Query, Request, Response
 from service.api import schemas
 from service.api.auth import OperateSession, Operator, Reader, ReadSession
 from service.api.bodies import read_json
+from service.api.forwarding import Call
+from service.api.moving import Moved, move
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 
@@ -60,6 +62,18 @@ async def list_sessions(
 async def read_session(session: ReadSession, services: ServicesDep) -> dict[str, Any]:
     """One session."""
     return await services.archive.session(session)
+
+
+@router.post("/{session_id}/move", response_model=Moved, responses=problems(404, 409, 503))
+async def move_session(
+    session: OperateSession,
+    caller: Operator,
+    request: Request,
+    services: ServicesDep,
+    to: Annotated[str | None, Query(max_length=64, description="Its id; by default the least busy other")] = None,
+) -> Response:
+    """Give the session to another process of the cluster, after the frames that are waiting: none is lost."""
+    return await move(services, Call.of(request, session, caller), to)
 
 
 @router.delete("/{session_id}", status_code=204, responses=problems(404, 503))

@@ -66,14 +66,14 @@ def refuse_open_door(settings: Settings) -> None:
     from service.access.gate import Gate
     from service.access.keys import Keys
     from service.access.oidc import open_oidc
-    from service.access.tickets import Tickets
+    from service.access.tickets import OwnTickets
     from service.errors import SkyposeError
     from service.store.choice import database_of
 
     async def look() -> None:
         database = database_of(settings)
         keys = Keys(database, settings.credential_cache_s)
-        gate = Gate(settings, keys, open_oidc(settings), Tickets(settings.ticket_s))
+        gate = Gate(settings, keys, open_oidc(settings), OwnTickets(settings.ticket_s))
         if not gate.needs_stored_key:
             return
         await database.open(beside=True)

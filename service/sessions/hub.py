@@ -13,7 +13,7 @@ from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
-from service.errors import BusyError, QuotaExceededError
+from service.errors import BusyError, NotFoundError, QuotaExceededError
 from service.store import frames
 from service.store.base import StoredEvent
 from service.store.database import Database
@@ -86,6 +86,8 @@ class Hub:
         """Tell the watchers of a committed event."""
         channel = self._channels.get(session_id)
         if channel is not None:
+            if channel.ring and channel.ring[-1].seq != seq - 1:  # another process wrote what is between
+                channel.ring.clear()
             channel.ring.append(StoredEvent(seq, document))
             channel.newest = seq
             channel.grow()
@@ -97,6 +99,20 @@ class Hub:
             channel.ring.clear()
             channel.newest = newest
             channel.grow()
+
+    def grown(self, session_id: SessionKey, newest: int) -> None:
+        """The same, said by another process, maybe late."""
+        channel = self._channels.get(session_id)
+        if channel is not None and newest > channel.newest:
+            self.advance(session_id, newest)
+
+    async def look_again(self) -> None:
+        """Read how far the log of every watched session is: signals of other processes may have been missed."""
+        for session_id in list(self._channels):
+            try:
+                self.grown(session_id, await self._database.read(frames.last_seq, session_id))
+            except NotFoundError:
+                self.end(session_id, "deleted")
 
     def end(self, session_id: SessionKey, reason: str) -> None:
         """Send a session's watchers home."""

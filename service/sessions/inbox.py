@@ -7,12 +7,11 @@ import contextvars
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import structlog
 
 from service.errors import (
-    BusyError,
     SkyposeError,
     StaleOwnerError,
     StoppingError,
@@ -42,8 +41,8 @@ class Inbox:
         self._line = line
         self._waited = waited
         self._items: asyncio.Queue[_Item | None] = asyncio.Queue()
-        self._in_hand = False
-        self._closing = False
+        self._in_hand = self._failed = False
+        self._ending: Literal["no", "close", "drain"] = "no"
         self._task = asyncio.create_task(self._run(), name=f"session {name}", context=contextvars.Context())
 
     @property
@@ -62,8 +61,10 @@ class Inbox:
 
     def put(self, run: Callable[[], Awaitable[R]]) -> asyncio.Future[R]:
         """Queue a call; the future holds its result."""
-        if self._closing:
+        if self._ending == "close":
             raise StoppingError("the session is being closed")
+        if self._ending == "drain":
+            raise StaleOwnerError("the session moves to another process")
         self.require_room()
         self.used_at = time.monotonic()
         answer: asyncio.Future[R] = asyncio.get_running_loop().create_future()
@@ -74,8 +75,15 @@ class Inbox:
 
     async def close(self) -> None:
         """Finish the call in hand, refuse those that wait, end."""
-        if not self._closing:
-            self._closing = self.retired = True
+        await self._end("close")
+
+    async def drain(self) -> None:
+        """Finish every call that is here, refuse those that come, end."""
+        await self._end("drain")
+
+    async def _end(self, how: Literal["close", "drain"]) -> None:
+        first, self._ending, self.retired = self._ending == "no", how, True
+        if first:
             self._items.put_nowait(None)
         await self._task
 
@@ -96,7 +104,7 @@ class Inbox:
             if not isinstance(error, SkyposeError):
                 log.exception("session call failed")
             if isinstance(error, StorageError | StaleOwnerError):
-                self.retired = True  # whether the write took place is uncertain
+                self.retired = self._failed = True  # whether the write took place is uncertain
             if not item.answer.done():
                 item.answer.set_exception(error)
         else:
@@ -104,8 +112,8 @@ class Inbox:
                 item.answer.set_result(result)
 
     async def _result(self, item: _Item) -> Any:
-        if self._closing:
+        if self._ending == "close":
             raise StoppingError("the session is being closed")
-        if self.retired:
-            raise BusyError("the session is being restored")
+        if self._failed:
+            raise StaleOwnerError("the session is being restored")
         return await item.run()

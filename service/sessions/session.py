@@ -12,7 +12,7 @@ from functools import partial
 import orjson
 import structlog
 
-from service.errors import IdempotencyKeyError, NoBackgroundError
+from service.errors import IdempotencyKeyError, NoBackgroundError, StaleOwnerError
 from service.imaging.facts import NOTHING, FrameFacts
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
@@ -98,7 +98,7 @@ class Session:
     async def _frame(self, frame: FrameIn) -> Answer:
         record = self.record
         at_index, under_key = await self._rooms.database.read(
-            frames.find, record.id, index=frame.index, key=frame.idempotency_key
+            frames.find, record.id, index=frame.index, key=frame.idempotency_key, epoch=record.epoch
         )
         index = repeated(frame, record.next_index, at_index, under_key)
         if index is not None:
@@ -205,7 +205,7 @@ class Session:
             contenders=stored(contenders),
         )
         started = time.monotonic()
-        seq = await self._rooms.database.write(frames.append, record, self._rooms.retention)
+        seq = await self._store(record)
         self._observe(report, time.monotonic() - started)
         self._contenders = contenders
         self._pointings.passed(view)
@@ -221,6 +221,14 @@ class Session:
         self._rooms.hub.publish(self.record.id, seq, document)
         log.info("frame", frame=index, status=record.status, ms=round(report.timing_ms.get("total", 0), 1))
         return Answer(index, document, duplicate=False)
+
+    async def _store(self, record: FrameRecord) -> int:
+        try:
+            return await self._rooms.database.write(frames.append, record, self._rooms.retention)
+        except StaleOwnerError:
+            self._rooms.metrics.fenced.inc()
+            log.warning("session taken by another; nothing of the frame is stored", frame=record.index)
+            raise
 
     def _observe(self, report: PackedFrameReport, commit_s: float) -> None:
         metrics = self._rooms.metrics

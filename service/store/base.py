@@ -173,3 +173,13 @@ class AuditRecord:
     count: int = 1
     request_id: str = ""
     number: int = 0
+
+
+@dataclass(frozen=True)
+class TicketRecord:
+    """A ticket as the database holds it: only its hash, and in whose name it reads."""
+
+    digest: str
+    tenant: str
+    key_id: str
+    expires: str | None  # of the credential it was got with

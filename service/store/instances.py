@@ -54,17 +54,17 @@ def leave(connection: Connection, me: Instance) -> None:
     connection.execute(delete(owners).where(owners.c.instance == me.id))
 
 
-def live(connection: Connection) -> list[tuple[Instance, int]]:
-    """The processes whose lease lasts, and how many sessions each has; the least busy first."""
+def live(connection: Connection) -> list[Instance]:
+    """The processes whose lease lasts, the one with the fewest sessions first."""
     count = func.count(owners.c.session_id)
     query = (
-        select(instances.c.id, instances.c.url, count)
+        select(instances.c.id, instances.c.url)
         .join(owners, owners.c.instance == instances.c.id, isouter=True)
         .where(instances.c.lease_until > clock())
         .group_by(instances.c.id, instances.c.url)
         .order_by(count, instances.c.id)
     )
-    return [(Instance(row.id, row.url), row[2]) for row in connection.execute(query)]
+    return [Instance(row.id, row.url) for row in connection.execute(query)]
 
 
 def owner(connection: Connection, session_id: SessionKey) -> Instance | None:

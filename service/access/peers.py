@@ -1,0 +1,67 @@
+"""How processes on one database know each other: calls that one hands on to another are signed.
+
+The secret lies in the database they share, made by the first of them. Who calls was decided where the call came in; the
+signature carries that to the owner of the session, for this one call, for a minute.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import jwt
+
+from service.access.principal import Principal, Role
+from service.errors import UnauthorizedError
+from service.store import instances
+from service.store.database import Database
+
+HEADER = "x-skypose-peer"
+FORWARDED = "forwarded"  # in a call's state: a peer handed it on
+_ALGORITHM = "HS256"
+_GOOD_FOR = timedelta(seconds=60)
+_SKEW = timedelta(seconds=30)
+
+
+class Peers:
+    """Signs and checks calls between processes. ``me`` is this one's name."""
+
+    def __init__(self, database: Database, me: str) -> None:
+        self._database = database
+        self._me = me
+        self._secret = ""
+
+    async def open(self) -> None:
+        """Learn the secret. Before that, nobody is believed."""
+        self._secret = await self._database.write(instances.secret)
+
+    def sign(self, caller: Principal, to: str, method: str, target: str) -> str:
+        """What the process ``to`` takes as: this call (``target`` is path and query) is ``caller``'s."""
+        claims = {
+            "aud": to,
+            "exp": datetime.now(UTC) + _GOOD_FOR,
+            "call": [method, target],
+            "caller": [caller.tenant, caller.key_id, caller.role.value],
+            "until": None if caller.expires is None else caller.expires.isoformat(),
+        }
+        return jwt.encode(claims, self._secret, _ALGORITHM)
+
+    def verify(self, token: str, method: str, target: str) -> Principal:
+        """Who calls. Raises ``UnauthorizedError`` for what no peer signed, for another process, or another call."""
+        try:
+            if not self._secret:
+                raise jwt.InvalidTokenError
+            claims = jwt.decode(
+                token,
+                self._secret,
+                [_ALGORITHM],
+                audience=self._me,
+                leeway=_SKEW,
+                options={"require": ["aud", "exp", "call", "caller", "until"]},
+            )
+            if claims["call"] != [method, target]:
+                raise jwt.InvalidTokenError
+        except jwt.InvalidTokenError as error:
+            raise UnauthorizedError("no process of this cluster signed this call", field=f"header:{HEADER}") from error
+        tenant, key_id, role = claims["caller"]
+        until = None if claims["until"] is None else datetime.fromisoformat(claims["until"])
+        return Principal(tenant, key_id, Role(role), until)
