@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpu.mesh_file import RawPart, read_parts
+from gpu.mesh_file import read_parts
 from gpu.mesh_limits import MeshError
+from gpu.raw_part import RawPart
 from gpu.repair import describe_repair, is_watertight, repair
 
 __all__ = ["Mesh", "MeshError", "Part", "assemble", "load_mesh"]

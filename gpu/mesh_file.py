@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from gpu.gltf_check import check_glb
 from gpu.mesh_limits import MeshError, MeshLimits, require
+from gpu.raw_part import RawPart
 from gpu.urdf import read_urdf
 from gpu.urdf_archive import unpack_urdf
 from gpu.urdf_shapes import link_triangles
@@ -23,15 +23,6 @@ LARGEST_COORDINATE = 1e12
 DEFAULT_LIMITS = MeshLimits()
 _PLY_ELEMENTS = re.compile(rb"^\s*element\s+(vertex|face)\s+(\d{1,18})\s*$", re.M)
 _PLY_HEADER_BYTES = 1 << 16
-
-
-@dataclass(frozen=True)
-class RawPart:
-    """The triangles of one node, in file coordinates at rest."""
-
-    name: str
-    vertices: NDArray[np.float64]  # (V, 3)
-    faces: NDArray[np.int64]  # (F, 3), all in range
 
 
 def read_parts(data: bytes, file_type: str, limits: MeshLimits = DEFAULT_LIMITS) -> list[RawPart]:

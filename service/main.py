@@ -22,8 +22,8 @@ from service.access.audit import Audit
 from service.access.gate import Gate
 from service.access.keys import Keys
 from service.access.limits import Limits
-from service.access.oidc import open_oidc
 from service.access.peers import Peers
+from service.access.provider import open_oidc
 from service.access.tickets import OwnTickets, SharedTickets
 from service.api import access, checkpoint, estimates, frames, health, models, problems, schemas, sessions, stream
 from service.api.bodies import BodyLimits
@@ -58,7 +58,7 @@ from service.workers.engine import Engine, Transport
 from service.workers.inspector import Inspector
 from service.workers.limits import DecodeLimits
 from service.workers.pool import ProcessTransport
-from service.workers.process import TRACKER
+from service.workers.process import tracker_program
 
 log = structlog.get_logger(__name__)
 VIEWER = Path(__file__).parent / "viewer"
@@ -70,14 +70,7 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     limits = DecodeLimits.of(settings.model_dump())
     engine = Engine(
         transport
-        or ProcessTransport(
-            TRACKER,
-            settings.workers,
-            settings.worker_timeout_s,
-            settings.worker_start_timeout_s,
-            (limits,),
-            settings.worker_nice,
-        )
+        or ProcessTransport(tracker_program(settings.model_dump()), settings.workers, settings.worker_timeout_s)
     )
     me = Instance(str(uuid.uuid4()), settings.own_url)
     database = database_of(settings, me.id)

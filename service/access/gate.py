@@ -10,14 +10,17 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from service.access.keys import PREFIX, Keys
-from service.access.oidc import OIDC_PREFIX, Oidc
-from service.access.principal import LOCAL, Principal, Role
+from service.access.principal import LOCAL, OIDC_PREFIX, Principal, Role
 from service.access.tickets import Tickets
 from service.errors import ConfigError, ForeignOriginError, UnauthorizedError
 from service.settings import Settings
 from service.store.scope import DEFAULT_TENANT
+
+if TYPE_CHECKING:
+    from service.access.oidc import Oidc
 
 BOOTSTRAP = Principal(DEFAULT_TENANT, "bootstrap", Role.ADMIN)
 MIN_BOOTSTRAP_CHARACTERS = 32

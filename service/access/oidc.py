@@ -6,7 +6,6 @@ import asyncio
 import re
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,8 @@ import jwt
 import orjson
 import structlog
 
-from service.access.principal import TENANT_PATTERN, Principal, Role
+from service.access.principal import OIDC_PREFIX, TENANT_PATTERN, Principal, Role
+from service.access.provider import Provider
 from service.access.remembered import Remembered
 from service.errors import ConfigError, ForbiddenError, IdentityProviderError, UnauthorizedError
 from service.settings import Settings
@@ -24,23 +24,12 @@ from service.settings import Settings
 log = structlog.get_logger(__name__)
 # Asymmetric ones only: with a shared secret, whoever can check a token could write one.
 ALGORITHMS = ["RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512", "EdDSA"]
-OIDC_PREFIX = "oidc:"
 LEEWAY_S = 30
 _RETRY_S = 30.0
 _FETCH_TIMEOUT_S = 5.0
 _MOST_BYTES = 1 << 20
 _MOST_SUBJECT = 200
 Source = Callable[[], Awaitable[bytes]]
-
-
-@dataclass(frozen=True)
-class Provider:
-    """Whose tokens are taken, for whom they must be made out, and which claims say what they may."""
-
-    issuer: str
-    audience: str
-    tenant_claim: str
-    role_claim: str
 
 
 class KeySet:
@@ -140,18 +129,8 @@ def claim(claims: Mapping[str, Any], name: str) -> Any:
     return found
 
 
-def open_oidc(settings: Settings) -> Oidc | None:
-    """As the settings say; None where no provider is configured. Raises ``ConfigError`` for half a configuration."""
-    given = (settings.oidc_issuer, settings.oidc_audience, settings.oidc_jwks)
-    if not any(given):
-        return None
-    issuer, audience, jwks = given
-    if not issuer or not audience or not jwks:
-        raise ConfigError(
-            "SKYPOSE_OIDC_ISSUER, SKYPOSE_OIDC_AUDIENCE and SKYPOSE_OIDC_JWKS belong together",
-            field="SKYPOSE_OIDC_ISSUER",
-        )
-    provider = Provider(issuer, audience, settings.oidc_tenant_claim, settings.oidc_role_claim)
+def open_provider(provider: Provider, jwks: str, settings: Settings) -> Oidc:
+    """Raises ``ConfigError`` for an address that keys cannot be had from."""
     return Oidc(provider, KeySet(_source(jwks), settings.oidc_jwks_cache_s), settings.credential_cache_s)
 
 

@@ -21,6 +21,7 @@ from service.store.scope import (
 __all__ = [
     "DEFAULT_TENANT",
     "LOCAL",
+    "OIDC_PREFIX",
     "TENANT_PATTERN",
     "ModelKey",
     "Principal",
@@ -29,6 +30,8 @@ __all__ = [
     "public_id",
     "tenant_of",
 ]
+
+OIDC_PREFIX = "oidc:"  # of the key ids of callers whom an identity provider knows
 
 
 class Role(StrEnum):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gpu.mesh import Mesh, assemble
-from gpu.mesh_file import RawPart
+from gpu.raw_part import RawPart
 from service.inference.articulation import Articulation, Joint, Stage
 from service.simulate.primitives import Solid, box, cone, dish, merged, rotation_about
 

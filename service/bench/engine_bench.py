@@ -28,6 +28,7 @@ from service.simulate.satellite import demo_satellite
 from service.simulate.scenario import Scenario
 from service.simulate.sequence import SimulatedPass
 from service.workers.base import BackgroundJob, FrameJob, ModelJob, PackedFrameReport
+from service.workers.child_process import Program
 from service.workers.engine import Engine, Transport
 from service.workers.limits import DecodeLimits
 from service.workers.pool import ProcessTransport
@@ -175,7 +176,8 @@ def process_contestants(workers: Sequence[int]) -> list[Contestant]:
     """One worker with one session after the other, and each number of workers with all of them at once."""
 
     def processes(count: int) -> ProcessTransport:
-        return ProcessTransport(TRACKER, count, TIMEOUT_S, TIMEOUT_S, (DecodeLimits(),))
+        program = Program(TRACKER, (DecodeLimits(),), start_timeout_s=TIMEOUT_S)
+        return ProcessTransport(program, count, TIMEOUT_S)
 
     at_once = [Contestant(f"processes, {n}", n, partial(processes, n)) for n in workers]
     return [Contestant("one by one", 1, partial(processes, 1), one_by_one=True), *at_once]

@@ -34,21 +34,15 @@ def run(settings: Settings, worker: str | None = None) -> None:
     """Serve until SIGINT or SIGTERM, then finish the frames in hand. ``worker`` names another than the tracker."""
     from service.cli import logs
     from service.errors import SkyposeError
-    from service.workers.limits import DecodeLimits
     from service.workers.pool import ProcessTransport
-    from service.workers.process import TRACKER
+    from service.workers.process import tracker_program
 
+    gc.disable()  # until ``settle``: a collection in the middle of the imports finds nothing and takes its time
     logs.configure(settings.log_level, settings.log_format)
     if settings.needs_credential:
         refuse_open_door(settings)
-    transport = ProcessTransport(
-        worker or TRACKER,
-        settings.workers,
-        settings.worker_timeout_s,
-        settings.worker_start_timeout_s,
-        () if worker else (DecodeLimits.of(settings.model_dump()),),
-        settings.worker_nice,
-    )
+    program = tracker_program(settings.model_dump(), worker)
+    transport = ProcessTransport(program, settings.workers, settings.worker_timeout_s)
     transport.prestart()  # its imports take as long as ours below: side by side they take half
     from service.main import create_app
 
@@ -65,7 +59,7 @@ def refuse_open_door(settings: Settings) -> None:
 
     from service.access.gate import Gate
     from service.access.keys import Keys
-    from service.access.oidc import open_oidc
+    from service.access.provider import open_oidc
     from service.access.tickets import OwnTickets
     from service.errors import SkyposeError
     from service.store.choice import database_of
@@ -121,9 +115,10 @@ def _server(app: FastAPI, settings: Settings) -> uvicorn.Server:
 
 
 def settle() -> None:
-    """Take what was built at the start out of the garbage collector's sight.
+    """Take what was built at the start out of the garbage collector's sight, and let it run from now on.
 
     A full collection would walk all of it again and again, and stop the event loop for a tenth of a second.
     """
     gc.collect()
     gc.freeze()
+    gc.enable()

@@ -7,7 +7,6 @@ side: ``R exp([v]x)``.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from service.inference.state import Array, Poses
 
@@ -30,6 +29,8 @@ def rotation_matrices(quaternion: Array) -> Array:
 
 def from_matrices(matrices: Array) -> Array:
     """(..., 3, 3) rotation matrices -> (..., 4) quaternions with w >= 0."""
+    from scipy.spatial.transform import Rotation  # the web process, which restarts fast, seldom comes here
+
     q = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return np.asarray(q, dtype=np.float64).reshape(*matrices.shape[:-2], 4)
 

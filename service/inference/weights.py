@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import brentq
 
 from service.inference.state import Array
 
@@ -39,6 +38,8 @@ def next_exponent(log_weights: Array, log_likelihood: Array, exponent: float, la
     The largest one for which the effective sample size, as a share of N, stays at ``target`` after weighing by
     ``likelihood ** (beta - exponent)`` (Jasra et al. 2011, adaptive tempering).
     """
+    from scipy.optimize import brentq  # the web process, which restarts fast, never comes here
+
     n = len(log_weights)
 
     def excess(beta: float) -> float:

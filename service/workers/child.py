@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from multiprocessing.connection import Connection
 from typing import Any
@@ -12,6 +13,7 @@ _SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 def run(channel: Connection, factory: str, arguments: tuple[Any, ...], nice: int, threads: int) -> None:
     """Body of a worker process: see ``service.workers.host``. ``threads``: its share of the cores."""
+    gc.disable()  # until the worker is built: collections in the middle of the imports find nothing
     limit_threads(threads)
     from service.workers.host import serve
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import cv2
 
+import gpu.mesh_file  # noqa: F401 -- what it loads must not count as a job's memory
 from service.errors import InputError, SkyposeError
 from service.workers.decode_wire import (
     Reply,

@@ -19,7 +19,7 @@ from typing import Any
 
 import structlog
 
-from gpu.mesh_file import RawPart
+from gpu.raw_part import RawPart
 from service.errors import ImageError, InputError, MeshFileError, TooLargeError, WorkerFailedError, every_error
 from service.imaging.decode import ByteOrder, Frame
 from service.imaging.facts import FrameFacts

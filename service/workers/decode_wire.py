@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpu.mesh_file import RawPart
+from gpu.raw_part import RawPart
 from service.imaging.decode import Frame
 from service.imaging.facts import FrameFacts
 from service.imaging.split import SplitFrame

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from gpu.mesh_file import RawPart, read_parts
 from gpu.mesh_limits import MeshError, MeshLimitError
+from gpu.raw_part import RawPart
 from service.errors import MeshFileError, TooLargeError
 from service.imaging.decode import ByteOrder, Frame, decode_frame, decode_frames, read_facts
 from service.imaging.facts import FrameFacts
@@ -79,6 +79,8 @@ class InPlace:
 
     def parts(self, data: bytes, file_type: str) -> list[RawPart]:
         """See ``Decoder``."""
+        from gpu.mesh_file import read_parts  # a large library, which the web process never needs
+
         try:
             return read_parts(data, file_type, self.limits.mesh)
         except MeshLimitError as error:

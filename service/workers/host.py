@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import pickle
@@ -23,6 +24,8 @@ Outcome = Literal["done", "refused", "bug", "broken"]
 
 def execute(worker: Worker, method: str, job: Any) -> Any:
     """Run one job. A frame's state is unpacked and packed here, so that nobody outside touches its arrays."""
+    if method == "ping":
+        return None
     if method == "describe":
         return dict(worker.describe())
     if method == "track":
@@ -46,7 +49,7 @@ def load_factory(path: str) -> Callable[..., Worker]:
 
 
 def serve(channel: connection.Connection, factory: str, arguments: tuple[Any, ...] = ()) -> None:
-    """Body of a worker process. First message out: ``("done", description)`` when ready."""
+    """Body of a worker process. First message out: ``("done", None)`` when ready."""
     # Ctrl-C and a supervisor's SIGTERM reach the whole group; the parent finishes its frames first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -55,7 +58,10 @@ def serve(channel: connection.Connection, factory: str, arguments: tuple[Any, ..
     ready = False
     try:
         worker = load_factory(factory)(*arguments)
-        channel.send_bytes(pickle.dumps(("done", dict(worker.describe()))))
+        gc.collect()
+        gc.freeze()  # what stays for good is not looked at again
+        gc.enable()
+        channel.send_bytes(pickle.dumps(("done", None)))
         ready = True
         while (message := channel.recv_bytes()) != b"":
             outcome = _answer(worker, message)

@@ -4,36 +4,30 @@ from __future__ import annotations
 
 import asyncio
 import os
+from dataclasses import replace
 from typing import Any
 
 from service.workers.base import PackedFrameJob
+from service.workers.child_process import Program
 from service.workers.placement import Placement
 from service.workers.process import WorkerProcess
+from service.workers.spare import Spare
 
 
 class ProcessTransport:
     """Tracking processes among which sessions are spread, and one beside them for models and overlays.
 
-    Preparing a large mesh takes seconds; on a process of its own it holds up no frame.
+    Preparing a large mesh takes seconds; on a process of its own it holds up no frame. One more is kept ready, for
+    whichever is lost.
     """
 
-    def __init__(
-        self,
-        factory: str,
-        workers: int,
-        timeout_s: float,
-        start_timeout_s: float,
-        arguments: tuple[Any, ...] = (),
-        nice: int = 0,
-    ) -> None:
+    def __init__(self, program: Program, workers: int, timeout_s: float) -> None:
+        shared = replace(program, threads=max(1, len(os.sched_getaffinity(0)) // workers))
+        self._spare = Spare(shared)
         names = [*(f"track-{n}" for n in range(workers)), "side"]
-        threads = max(1, len(os.sched_getaffinity(0)) // workers)
-        *self.workers, self.side = [
-            WorkerProcess(name, factory, timeout_s, start_timeout_s, arguments, nice, threads) for name in names
-        ]
+        *self.workers, self.side = [WorkerProcess(name, shared, timeout_s, self._spare) for name in names]
         self._by_name = {worker.name: worker for worker in self.workers}
         self._placement = Placement(self._by_name)
-        self._side_start: asyncio.Task[None] | None = None
 
     def prestart(self) -> None:
         """Begin to bring the tracking processes up, beside whatever else the program does to start."""
@@ -58,9 +52,9 @@ class ProcessTransport:
         ]
 
     async def start(self) -> None:
-        """Bring the tracking processes up; the one beside them follows on its own."""
+        """Bring the tracking processes up. A spare follows, which is the one beside them once that is needed."""
         await asyncio.gather(*(worker.start() for worker in self.workers))
-        self._side_start = asyncio.create_task(self.side.start())
+        self._spare.fill()
 
     async def call(self, key: str | None, method: str, job: object) -> Any:
         """Run a job of session ``key``, or beside the tracking where it is None."""
@@ -78,9 +72,8 @@ class ProcessTransport:
 
     async def close(self) -> None:
         """Finish what is in hand and end every process."""
-        if self._side_start is not None:
-            await asyncio.gather(self._side_start, return_exceptions=True)
         await asyncio.gather(*(worker.close() for worker in (*self.workers, self.side)))
+        await asyncio.to_thread(self._spare.close)
 
 
 def model_of(job: object) -> str | None:

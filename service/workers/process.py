@@ -1,67 +1,46 @@
 """Workers in processes of their own: a death, a hang or a lost device costs a retry, never a session.
 
 A job is pure (state in, state out), so it can simply be run again. One thread per process owns it: it alone
-starts, feeds, reads and ends it; the event loop only awaits.
+feeds, reads and ends it; the event loop only awaits.
 """
 
 from __future__ import annotations
 
 import asyncio
-import multiprocessing
 import pickle
-import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
-from multiprocessing.util import Finalize
 from typing import Any
 
 import structlog
 
-from service.errors import SkyposeError, StoppingError, WorkerFailedError
-from service.workers.child import run
+from service.errors import StoppingError, WorkerFailedError
+from service.workers.child_process import ChildProcess, Program, WorkerLostError
+from service.workers.limits import DecodeLimits
+from service.workers.spare import Spare
 
 log = structlog.get_logger(__name__)
-TRACKER = "service.workers.tracker:guarded"  # takes a DecodeLimits
-_CONTEXT = multiprocessing.get_context("spawn")  # fork would copy device contexts and locks
+TRACKER = "service.workers.guarded:guarded"
 
 
-class WorkerLostError(Exception):
-    """The process died, hung, or lost its device during a job."""
-
-
-@dataclass
-class _Child:
-    process: SpawnProcess
-    channel: Connection
-    reaper: Finalize  # at exit multiprocessing would send SIGTERM, which workers ignore, and wait
+def tracker_program(settings: Mapping[str, Any], factory: str | None = None) -> Program:
+    """The tracker as a program, with the limits and folders of the process's settings; or another ``factory``."""
+    kernels = settings["data_dir"] / "kernels"
+    arguments = (DecodeLimits.of(settings), kernels) if factory is None else ()
+    nice, start_timeout_s = settings["worker_nice"], settings["worker_start_timeout_s"]
+    return Program(factory or TRACKER, arguments, nice, start_timeout_s)
 
 
 class WorkerProcess:
-    """One worker process, started when first needed and again after each loss."""
+    """One worker process, had when first needed and again after each loss: the spare, else one started now."""
 
-    def __init__(
-        self,
-        name: str,
-        factory: str,
-        timeout_s: float,
-        start_timeout_s: float,
-        arguments: tuple[Any, ...] = (),
-        nice: int = 0,
-        threads: int = 1,
-    ) -> None:
+    def __init__(self, name: str, program: Program, timeout_s: float, spare: Spare | None = None) -> None:
         self.name = name
-        self.description: Mapping[str, Any] = {}
         self.restarts = 0
-        self._factory = factory
-        self._arguments = arguments  # of the factory: plain data
-        self._nice = nice
-        self._threads = threads  # of each library that would start one per core
+        self._program = program
         self._timeout_s = timeout_s
-        self._start_timeout_s = start_timeout_s
-        self._child: _Child | None = None
+        self._spare = spare
+        self._child: ChildProcess | None = None
         self._closing = False
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"worker-{name}")
 
@@ -74,7 +53,7 @@ class WorkerProcess:
     def pid(self) -> int | None:
         """Process id, or None while it is down."""
         child = self._child
-        return None if child is None else child.process.pid
+        return None if child is None else child.pid
 
     def prestart(self) -> None:
         """Begin to bring the process up, without waiting: ``start`` waits, and says what went wrong."""
@@ -106,74 +85,34 @@ class WorkerProcess:
         for last_try in (False, True):
             child = self._up()
             try:
-                return self._exchange(child, message, self._timeout_s)
+                return child.exchange(message, self._timeout_s)
             except WorkerLostError as loss:
                 self._lose(child, method, str(loss))
                 if last_try:
                     raise WorkerFailedError(f"the worker failed twice during {method}") from loss
         raise AssertionError("unreachable")
 
-    def _up(self) -> _Child:
-        if self._child is not None:
-            return self._child
-        here, there = _CONTEXT.Pipe()
-        arguments = (there, self._factory, self._arguments, self._nice, self._threads)
-        process = _CONTEXT.Process(target=run, args=arguments, name=f"skypose-{self.name}", daemon=True)
-        process.start()
-        there.close()  # so that the end of the process is the end of the pipe
-        child = _Child(process, here, Finalize(None, process.kill, exitpriority=10))
+    def _up(self) -> ChildProcess:
+        if self._child is None:
+            self._child = (self._spare.take() if self._spare else None) or self._started()
+            log.info("worker started", worker=self.name, pid=self._child.pid)
+        return self._child
+
+    def _started(self) -> ChildProcess:
+        child = ChildProcess(self._program)
         try:
-            self.description = {**self._exchange(child, None, self._start_timeout_s), "pid": process.pid}
+            child.wait_ready()
         except WorkerLostError as loss:
-            _end(child)
             raise WorkerFailedError(f"the worker did not start: {loss}") from loss
-        self._child = child
-        log.info("worker started", worker=self.name, pid=process.pid)
         return child
 
-    def _exchange(self, child: _Child, message: bytes | None, timeout_s: float) -> Any:
-        """Send (unless None) and receive. The timer covers both: a stopped process takes nothing either."""
-        watchdog = threading.Timer(timeout_s, child.process.kill)
-        watchdog.start()
-        try:
-            if message is not None:
-                child.channel.send_bytes(message)
-            outcome, payload = pickle.loads(child.channel.recv_bytes())
-        except (EOFError, OSError) as error:
-            hung = watchdog.finished.is_set()
-            raise WorkerLostError(f"no answer in {timeout_s:g} s" if hung else "process died") from error
-        finally:
-            watchdog.cancel()
-        if outcome == "refused":
-            raise payload
-        if outcome == "broken":
-            raise WorkerLostError(payload)
-        if outcome == "bug":
-            log.error("worker bug", worker=self.name, traceback=payload)
-            raise SkyposeError("the worker met an unexpected error; the log has its trace")
-        return payload
-
-    def _lose(self, child: _Child, method: str, reason: str) -> None:
+    def _lose(self, child: ChildProcess, method: str, reason: str) -> None:
         self.restarts += 1
-        log.warning("worker lost", worker=self.name, method=method, reason=reason, pid=child.process.pid)
-        _end(child)
+        log.warning("worker lost", worker=self.name, method=method, reason=reason, pid=child.pid)
+        child.end()
         self._child = None
 
     def _down(self) -> None:
         child, self._child = self._child, None
-        if child is None:
-            return
-        try:
-            child.channel.send_bytes(b"")
-            child.process.join(5.0)
-        except OSError:
-            log.info("worker was gone already", worker=self.name)
-        _end(child)
-
-
-def _end(child: _Child) -> None:
-    child.reaper.cancel()
-    child.process.kill()
-    child.process.join()
-    child.process.close()
-    child.channel.close()
+        if child is not None:
+            child.stop()

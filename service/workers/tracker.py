@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpu.device import find_devices
+from gpu.kernel_cache import KernelCache
 from gpu.mesh import Mesh, MeshError, assemble
 from gpu.opengl_probe import expected_hand_over, find_opengl
 from gpu.reference import silhouette_mask
@@ -53,10 +54,8 @@ from service.workers.base import (
     SmoothReport,
 )
 from service.workers.cache import Cache
-from service.workers.decode_process import DecodeProcess
 from service.workers.decoding import Decoder, InPlace
 from service.workers.full_frame import camera_window, in_full_frame, in_window, scale_in_window
-from service.workers.limits import DecodeLimits
 from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
 from service.workers.restoring import check_restored
@@ -79,8 +78,11 @@ PACKAGES = (
 class Tracker:
     """Implements ``service.workers.base.Worker``."""
 
-    def __init__(self, decoder: Decoder | None = None, *, cached_models: int = 8) -> None:
+    def __init__(
+        self, decoder: Decoder | None = None, *, cached_models: int = 8, kernels: KernelCache | None = None
+    ) -> None:
         self._decoder = decoder or InPlace()
+        self._kernels = kernels
         self._meshes: Cache[Mesh] = Cache(cached_models)
         self._scorers = Scorers(cached_models)
         self._steps = ResidentSteps(cached_models)
@@ -223,6 +225,9 @@ class Tracker:
         self._meshes.clear()
         self._skies.clear()
         self._twins.clear()
+        if self._kernels is not None:
+            self._kernels.keep()  # those of backends that sessions chose
+            self._kernels.close()
 
     def _mesh(self, key: str, file_type: str, blobs: Mapping[str, bytes]) -> Mesh:
         return self._meshes.get(key, lambda: self._load(_blob(blobs, key), file_type))
@@ -232,13 +237,6 @@ class Tracker:
             return assemble(self._decoder.parts(data, file_type))
         except MeshError as error:
             raise MeshFileError(str(error), field="file") from error
-
-
-def guarded(limits: DecodeLimits) -> Tracker:
-    """The tracker of a worker process: what clients send is decoded in a process of its own."""
-    decoder = DecodeProcess(limits)
-    decoder.prestart()
-    return Tracker(decoder)
 
 
 def draw_silhouette(

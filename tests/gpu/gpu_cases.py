@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gpu.mesh import Mesh, assemble, load_mesh
-from gpu.mesh_file import RawPart
+from gpu.raw_part import RawPart
 
 SHAPE = (96, 128)
 MESHES = [

@@ -10,8 +10,9 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from jwt.algorithms import ECAlgorithm, RSAAlgorithm
 from jwt.utils import base64url_encode
 
-from service.access.oidc import KeySet, Oidc, Provider, claim, open_oidc
+from service.access.oidc import KeySet, Oidc, claim
 from service.access.principal import Role
+from service.access.provider import Provider, open_oidc
 from service.errors import ConfigError, ForbiddenError, IdentityProviderError, UnauthorizedError
 from service.settings import Settings
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gpu.mesh import Mesh, assemble
-from gpu.mesh_file import RawPart
+from gpu.raw_part import RawPart
 from gpu.reference import reference_scores
 from service.inference.articulation import Articulation, part_transforms
 from service.inference.pose import rotation_matrices

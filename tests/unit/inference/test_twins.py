@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gpu.mesh import assemble
-from gpu.mesh_file import RawPart
+from gpu.raw_part import RawPart
 from gpu.reference import silhouette_mask
 from service.inference.articulation import Articulation, Joint, Stage, part_transforms
 from service.inference.pose import angle_between, retract

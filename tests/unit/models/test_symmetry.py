@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gpu.mesh import assemble, load_mesh
-from gpu.mesh_file import RawPart
+from gpu.raw_part import RawPart
 from service.inference.articulation import Articulation, Joint, Stage, hold, part_transforms
 from service.inference.state import Poses
 from service.inference.symmetry import twin

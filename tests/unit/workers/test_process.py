@@ -10,12 +10,13 @@ import pytest
 from fake_worker import FakeWorker
 
 from service.errors import ImageError, SkyposeError, StoppingError, WorkerFailedError
+from service.workers.child_process import Program
 from service.workers.pool import ProcessTransport
 from service.workers.process import WorkerProcess
+from service.workers.spare import Spare
 
 pytestmark = pytest.mark.anyio
-FACTORY = "fake_worker:FakeWorker"
-HERE = f"{__name__}:"
+FACTORY_OF_AWKWARD = "test_process:Awkward"
 
 
 class Awkward(FakeWorker):
@@ -48,8 +49,8 @@ class Stillborn(FakeWorker):
 
 
 @asynccontextmanager
-async def worker(factory: str = "test_process:Awkward", timeout_s: float = 60.0):
-    process = WorkerProcess("w", factory, timeout_s, 60.0)
+async def worker(factory: str = FACTORY_OF_AWKWARD, timeout_s: float = 60.0):
+    process = WorkerProcess("w", Program(factory), timeout_s)
     await process.start()
     try:
         yield process
@@ -60,7 +61,7 @@ async def worker(factory: str = "test_process:Awkward", timeout_s: float = 60.0)
 async def test_job_and_description():
     async with worker() as process:
         assert await process.call("overlay", "pid") == process.pid != os.getpid()
-        assert process.description["scorer"] == "fake"
+        assert (await process.call("describe", None))["scorer"] == "fake"
 
 
 async def test_death_in_a_job_is_retried(tmp_path):
@@ -89,6 +90,7 @@ async def test_hang_is_ended():
     async with worker(timeout_s=0.5) as process:
         with pytest.raises(WorkerFailedError):
             await process.call("overlay", "stop")
+        process._timeout_s = 60.0  # half a second is little for a good answer of a busy machine
         assert await process.call("overlay", "pid")
 
 
@@ -110,7 +112,7 @@ async def test_bug_is_an_internal_error_and_leaves_the_process():
 
 
 async def test_worker_that_cannot_be_built_says_why():
-    process = WorkerProcess("w", "test_process:Stillborn", 60.0, 60.0)
+    process = WorkerProcess("w", Program("test_process:Stillborn"), 60.0)
     with pytest.raises(WorkerFailedError, match="no device"):
         await process.start()
     await process.close()
@@ -127,7 +129,7 @@ async def test_close_finishes_the_job_in_hand():
 
 
 async def test_sessions_are_spread_and_the_side_is_apart():
-    transport = ProcessTransport("test_process:Awkward", 2, 60.0, 60.0)
+    transport = ProcessTransport(Program(FACTORY_OF_AWKWARD), 2, 60.0)
     try:
         await transport.start()
         keys = "abcdefgh" * 3
@@ -137,3 +139,30 @@ async def test_sessions_are_spread_and_the_side_is_apart():
         assert await transport.call(None, "overlay", "pid") not in pids
     finally:
         await transport.close()
+
+
+async def test_spare_takes_the_place_of_one_that_is_lost():
+    spare = Spare(Program(FACTORY_OF_AWKWARD))
+    process = WorkerProcess("w", Program(FACTORY_OF_AWKWARD), 60.0, spare)
+    try:
+        await process.start()
+        spare.fill()
+        ready = spare._next.result()
+        os.kill(process.pid, signal.SIGKILL)
+        assert await process.call("overlay", "pid") == ready.pid
+        os.kill(spare._next.result().pid, signal.SIGKILL)  # nobody notices that the next spare is gone
+        os.kill(process.pid, signal.SIGKILL)
+        assert await process.call("overlay", "pid") not in (None, ready.pid)
+        assert process.restarts == 2
+    finally:
+        await process.close()
+        spare.close()
+
+
+async def test_spare_that_cannot_be_built_is_done_without():
+    spare = Spare(Program("test_process:Stillborn"))
+    spare.fill()
+    assert spare.take() is None
+    spare.close()
+    spare.fill()
+    assert spare.take() is None

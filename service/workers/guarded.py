@@ -1,0 +1,28 @@
+"""The tracker as a worker process has it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gpu.kernel_cache import KernelCache
+from service.workers.decode_process import DecodeProcess
+from service.workers.limits import DecodeLimits
+from service.workers.tracker import Tracker
+from service.workers.warm_up import build_kernels
+
+
+def guarded(limits: DecodeLimits, kernels: Path | None = None) -> Tracker:
+    """A tracker that is ready for its first frame.
+
+    What clients send is decoded in a process of its own; built kernels are kept in the folder
+    ``kernels`` if there is one.
+    """
+    decoder = DecodeProcess(limits)
+    decoder.prestart()
+    cache = None if kernels is None else KernelCache(kernels)
+    if cache is not None:
+        cache.open()
+    build_kernels()
+    if cache is not None:
+        cache.keep()
+    return Tracker(decoder, kernels=cache)
