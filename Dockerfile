@@ -27,10 +27,10 @@ RUN /opt/skypose/bin/pip install --no-cache-dir --no-deps --no-build-isolation -
  && find /opt/skypose -type d -name tests -prune -exec rm -r {} +
 
 FROM ${BASE}
-# PoCL brings a whole compiler. Its manuals, headers, static libraries, sanitizers, Perl and 32-bit parts are never used here.
+# PoCL brings a whole compiler. Its manuals, headers, static libraries, sanitizers and 32-bit parts are never used here.
 RUN printf 'path-exclude=%s\n' '/usr/share/doc/*' '/usr/share/man/*' '/usr/share/locale/*' '/usr/lib/llvm-*/lib/*.a' \
       '/usr/lib/llvm-*/lib/clang/*/lib/*' '/usr/lib/*/lib?san.so*' \
-      '/usr/lib/*/libclang-1?.so*' '/usr/lib32/*' '/usr/include/*' '/usr/share/perl/*' '/usr/lib/*/perl/*' >/etc/dpkg/dpkg.cfg.d/lean \
+      '/usr/lib/*/libclang-1?.so*' '/usr/lib32/*' '/usr/include/*' >/etc/dpkg/dpkg.cfg.d/lean \
  && echo 'path-include=/usr/share/doc/*/copyright' >>/etc/dpkg/dpkg.cfg.d/lean \
  && apt-get update \
  && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends \
