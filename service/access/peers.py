@@ -9,12 +9,14 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 
 import jwt
+import structlog
 
 from service.access.principal import Principal, Role
-from service.errors import UnauthorizedError
+from service.errors import StaleOwnerError, UnauthorizedError
 from service.store import instances
 from service.store.database import Database
 
+log = structlog.get_logger(__name__)
 HEADER = "x-skypose-peer"
 FORWARDED = "forwarded"  # in a call's state: a peer handed it on
 _ALGORITHM = "HS256"
@@ -41,12 +43,15 @@ class Peers:
             "exp": datetime.now(UTC) + _GOOD_FOR,
             "call": [method, target],
             "caller": [caller.tenant, caller.key_id, caller.role.value],
-            "until": None if caller.expires is None else caller.expires.isoformat(),
+            "until": "" if caller.expires is None else caller.expires.isoformat(),
         }
         return jwt.encode(claims, self._secret, _ALGORITHM)
 
     def verify(self, token: str, method: str, target: str) -> Principal:
-        """Who calls. Raises ``UnauthorizedError`` for what no peer signed, for another process, or another call."""
+        """Who calls. Raises ``UnauthorizedError`` for what no peer signed, or for another call.
+
+        ``StaleOwnerError`` for what was meant for another process: one that had this address before.
+        """
         try:
             if not self._secret:
                 raise jwt.InvalidTokenError
@@ -60,8 +65,11 @@ class Peers:
             )
             if claims["call"] != [method, target]:
                 raise jwt.InvalidTokenError
+        except jwt.InvalidAudienceError as error:
+            raise StaleOwnerError("the process that this call was meant for has gone") from error
         except jwt.InvalidTokenError as error:
+            log.warning("a call that says it comes from a peer is refused", reason=repr(error), call=target)
             raise UnauthorizedError("no process of this cluster signed this call", field=f"header:{HEADER}") from error
         tenant, key_id, role = claims["caller"]
-        until = None if claims["until"] is None else datetime.fromisoformat(claims["until"])
+        until = datetime.fromisoformat(claims["until"]) if claims["until"] else None
         return Principal(tenant, key_id, Role(role), until)

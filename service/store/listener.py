@@ -42,15 +42,19 @@ class Listener:
     def _run(self) -> None:
         import psycopg
 
+        heard = True
         while not self._stopping.is_set():
             try:
                 with self._connect() as connection:
                     connection.execute(f"LISTEN {CHANNEL}")
+                    heard = True
                     self._resumed()
                     while not self._stopping.is_set():
                         self._hear(connection)
             except psycopg.Error as error:
-                log.warning("signals of other processes not heard; tried again", error=str(error))
+                if heard:
+                    log.warning("signals of other processes not heard; tried again and again", error=str(error))
+                heard = False
                 self._stopping.wait(_AGAIN_S)
 
     def _connect(self) -> psycopg.Connection[Any]:

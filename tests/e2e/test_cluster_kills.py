@@ -1,0 +1,12 @@
+"""The short form of the cluster's kill loop; the long one is a command (docs/cluster.md)."""
+
+import pytest
+from cluster_loop import good, run
+
+pytestmark = pytest.mark.timeout(600)
+
+
+def test_two_web_processes_lose_nothing_under_kills(postgres):
+    figures = run(kills=4, minutes=8, n_sessions=2, seed=3, postgres=postgres)
+    assert good(figures), figures
+    assert figures["owners_paused"] and figures["database_restarts"] and figures["moves"], figures
