@@ -40,7 +40,7 @@ class Client:
         self._times: list[tuple[float, float]] = []  # of each frame: first sent, answered
         self._changed = threading.Condition()
         self._stopping = False
-        self._error: BaseException | None = None
+        self._error: Exception | None = None
         self._http = httpx.Client(timeout=_ANSWER_S)
         self._thread = threading.Thread(target=self._run)
 
@@ -59,6 +59,7 @@ class Client:
         self._stopping = True
         if self._thread.is_alive():
             self._thread.join()
+        self._http.close()
 
     def post(self, count: int) -> None:
         """So many frames more."""
@@ -87,7 +88,7 @@ class Client:
         try:
             while not self._stopping:
                 self.post(1)
-        except BaseException as error:
+        except Exception as error:  # noqa: BLE001 -- raised in the main thread by stop()
             with self._changed:
                 self._error = error
                 self._changed.notify_all()
