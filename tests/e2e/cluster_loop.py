@@ -2,10 +2,10 @@
 
     python tests/e2e/cluster_loop.py --kills 500 [--minutes 60] [--sessions 4] [--seed 1] [--json FILE]
 
-SIGKILL of web processes and workers at random moments (a supervisor starts a web process again at once), a restart of the
-database, owners stopped (SIGSTOP) for longer than their lease and continued, sessions moved while in use. Clients post
-to either process and retry. Afterwards the same frames go through one undisturbed process; histories must be equal.
-A trigger in the database counts frames that were written under another epoch than the session's: stale writes.
+SIGKILL of web processes and workers at random moments (a supervisor starts a web process again at once), a crash of
+the database, owners stopped (SIGSTOP) for longer than their lease and continued, sessions moved while in use. Clients
+post to either process and retry. Afterwards the same frames go through one undisturbed process; histories must be
+equal. A trigger in the database counts frames written under another epoch than the session's: stale writes.
 """
 
 import argparse
@@ -166,7 +166,7 @@ def restart(cluster: Cluster, clients: list[Client], toll: Toll) -> None:
 def pass_through(cluster: Cluster, clients: list[Client], kills: int, until: float, seed: int) -> Toll:
     """All of it: a pause and a move now and then, one restart of the database in the middle."""
     dice, toll, rounds = random.Random(seed), Toll(), 0
-    every = max(2, min(25, kills // 3))
+    every = max(3, min(25, kills // 3))
     while sum(toll.kills.values()) < kills and time.monotonic() < until:
         strike(cluster, dice.choice(STRIKES), clients, dice, toll)
         rounds += 1
@@ -187,6 +187,7 @@ def calm_pass(folder: Path, count: int) -> list[dict[str, Any]]:
     try:
         client = Client([calm.url], fake_session(calm.url), 0)
         client.post(count)
+        client.leave()
         with httpx.Client(base_url=calm.url, timeout=60) as http:
             return whole_history(http, client.session)
     finally:
