@@ -17,6 +17,7 @@ from service.bench.load.plan import Cost
 
 _PROC = Path("/proc")
 _TABLES = ("frames", "frame_bodies", "estimates", "particles", "beliefs", "events")  # what a frame adds to
+_ADDED = "SELECT coalesce(sum(n), 0) FROM (SELECT max(idx) + 1 AS n FROM {} GROUP BY session_id)"
 
 
 @dataclass(frozen=True)
@@ -88,9 +89,10 @@ class Counters(Protocol):
 
 
 class SqliteCounters:
-    """Rows that are in the tables a frame adds to (its session's row is updated beside them), and the pages in use.
+    """Rows that frames have added, those that were dropped since for their age too, and the pages in use.
 
-    Right while nothing is dropped for its age: a measurement must be shorter than what the service keeps.
+    Rows are counted by the last index of each session, for the old ones of some tables are not there any more. The
+    update of the session's own row, and what is dropped, are not in it.
     """
 
     def __init__(self, file: Path) -> None:
@@ -100,7 +102,7 @@ class SqliteCounters:
         """Counted in one read of the database."""
         connection = sqlite3.connect(f"file:{self._file}?mode=ro", uri=True, timeout=30.0)
         try:
-            rows = sum(connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0] for table in _TABLES)
+            rows = sum(connection.execute(_ADDED.format(table)).fetchone()[0] for table in _TABLES)
             names = ("page_count", "freelist_count", "page_size")
             pages, free, size = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in names)
         finally:

@@ -213,16 +213,22 @@ def test_computing_time_of_a_process_and_what_it_started():
 
 def test_sqlite_counts_rows_and_pages_in_use(tmp_path):
     file = tmp_path / "skypose.sqlite3"
+    tables = ("frames", "frame_bodies", "estimates", "particles", "beliefs", "events")
     with sqlite3.connect(file) as connection:
-        for table in ("frames", "frame_bodies", "estimates", "particles", "beliefs", "events"):
-            connection.execute(f"CREATE TABLE {table} (data BLOB)")
-        connection.execute("INSERT INTO frames VALUES (zeroblob(100000))")
+        for table in tables:
+            connection.execute(f"CREATE TABLE {table} (session_id TEXT, idx INTEGER, data BLOB)")
+        rows = [("one", 0), ("one", 1), ("two", 0)]
+        for table in tables:
+            connection.executemany(f"INSERT INTO {table} VALUES (?, ?, zeroblob(10000))", rows)
     before = SqliteCounters(file).read(os.getpid())
-    with sqlite3.connect(file) as connection:
-        connection.execute("DELETE FROM frames")
+    with sqlite3.connect(file) as connection:  # a frame, and an old one goes
+        connection.execute("INSERT INTO frame_bodies VALUES ('one', 2, NULL)")
+        connection.execute("DELETE FROM frame_bodies WHERE idx < 2")
     after = SqliteCounters(file).read(os.getpid())
-    assert (before.rows, after.rows) == (1, 0)
-    assert 98_000 < before.size_bytes - after.size_bytes < 110_000
+    assert before.rows == 18
+    assert 18 * 10_000 < before.size_bytes < 300_000
+    assert after.size_bytes < before.size_bytes - 20_000
+    assert after.rows == 18 + 1 - 1  # of session two nothing is left there
 
 
 def test_a_real_service_is_measured(tmp_path):
