@@ -64,7 +64,7 @@ async def read_session(session: ReadSession, services: ServicesDep) -> dict[str,
     return await services.archive.session(session)
 
 
-@router.post("/{session_id}/move", response_model=Moved, responses=problems(404, 409, 503))
+@router.post("/{session_id}/move", response_model=Moved, responses=problems(404, 409, 422, 503))
 async def move_session(
     session: OperateSession,
     caller: Operator,
