@@ -28,7 +28,9 @@ async def admit(connection: HTTPConnection) -> Principal:
     services = services_of(connection)
     headers = connection.headers
     peers, token = services.forwarding.peers, headers.get(HEADER)
-    if peers is not None and token is not None:  # admitted and counted where it came in
+    if (
+        peers is not None and token is not None and connection.scope["type"] == "http"
+    ):  # admitted and counted where it came in
         principal = peers.verify(token, connection.scope["method"], target_of(connection))
         connection.scope.setdefault("state", {}).update({PRINCIPAL: principal, FORWARDED: True})
         return principal
