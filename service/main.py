@@ -24,6 +24,7 @@ from service.access.keys import Keys
 from service.access.limits import Limits
 from service.access.peers import Peers
 from service.access.provider import open_oidc
+from service.access.stored import StoredBytes
 from service.access.tickets import OwnTickets, SharedTickets
 from service.api import access, checkpoint, estimates, frames, health, models, problems, schemas, sessions, stream
 from service.api.bodies import BodyLimits
@@ -140,6 +141,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         keys=keys,
         tickets=tickets,
         limits=Limits(settings),
+        stored=StoredBytes(database, settings.quota_stored_mb),
         audit=Audit(database, settings.audit_days, settings.audit_max_entries),
         started=datetime.now(UTC),
     )

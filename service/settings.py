@@ -162,6 +162,9 @@ class Settings(BaseSettings):
     """Models of one tenant; one more is answered 429. 0: any number."""
     quota_particles: Annotated[int, Field(ge=0)] = 100_000_000
     """Particles of all sessions of one tenant together; more are answered 429. 0: any number."""
+    quota_stored_mb: Annotated[int, Field(ge=0)] = 0
+    """MiB that one tenant may have stored (files, estimates, particles), measured every ten seconds; then what would
+    store more is answered 429. 0: any."""
     quota_streams: Annotated[int, Field(ge=0)] = 256
     """Watchers of one tenant at once; one more is answered 429. 0: any number."""
     max_calls: Positive = 1024

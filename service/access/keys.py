@@ -9,9 +9,10 @@ import hashlib
 import hmac
 import re
 import secrets
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
-from service.access.principal import TENANT_PATTERN, Principal, Role
+from service.access.principal import TENANT_PATTERN, KeyRates, Principal, Role
 from service.access.remembered import Remembered
 from service.errors import ConfigError, UnauthorizedError
 from service.store import api_keys
@@ -22,6 +23,7 @@ PREFIX = "skypose_"
 _KEY = re.compile(r"skypose_([0-9a-f]{8})_([A-Za-z0-9_-]{43})")
 _TOUCH_S = 300.0
 MAX_NAME = 100
+NO_RATES = KeyRates()
 
 
 def utc_text(moment: datetime) -> str:
@@ -29,7 +31,9 @@ def utc_text(moment: datetime) -> str:
     return moment.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
-def new_key(tenant: str, role: Role, name: str, days: float | None = None) -> tuple[KeyRecord, str]:
+def new_key(
+    tenant: str, role: Role, name: str, days: float | None = None, rates: KeyRates = NO_RATES
+) -> tuple[KeyRecord, str]:
     """A key to store, and its text, which is nowhere else. Raises ``ConfigError`` for a bad tenant or name."""
     if not re.fullmatch(TENANT_PATTERN, tenant):
         raise ConfigError("a tenant has 1 to 32 of a-z 0-9 _ -, and begins with a letter or digit", field="tenant")
@@ -46,6 +50,7 @@ def new_key(tenant: str, role: Role, name: str, days: float | None = None) -> tu
         name=name,
         created_at=utc_text(now),
         expires_at=None if days is None else utc_text(now + timedelta(days=days)),
+        rates={name: rate for name, rate in asdict(rates).items() if rate is not None} or None,
     )
     return record, text
 
@@ -74,9 +79,11 @@ class Keys:
         self._used[known.key_id] = datetime.now(UTC)
         return known
 
-    async def create(self, tenant: str, role: Role, name: str, days: float | None) -> tuple[KeyRecord, str]:
+    async def create(
+        self, tenant: str, role: Role, name: str, days: float | None, rates: KeyRates = NO_RATES
+    ) -> tuple[KeyRecord, str]:
         """A new key of a tenant, stored, and its text. Raises ``QuotaExceededError``."""
-        record, text = new_key(tenant, role, name, days)
+        record, text = new_key(tenant, role, name, days, rates)
         await self._database.write(api_keys.add, record, self._quota)
         return record, text
 
@@ -123,7 +130,7 @@ class Keys:
         if record is None or not same or not is_active(record, datetime.now(UTC)):
             raise UnauthorizedError("the key is not known, or no longer good", field="header:Authorization")
         expires = None if record.expires_at is None else datetime.fromisoformat(record.expires_at)
-        return Principal(record.tenant, record.id, Role(record.role), expires)
+        return Principal(record.tenant, record.id, Role(record.role), expires, KeyRates(**(record.rates or {})))
 
 
 def _sha256(text: str) -> str:

@@ -6,12 +6,13 @@ signature carries that to the owner of the session, for this one call, for a min
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
 import jwt
 import structlog
 
-from service.access.principal import Principal, Role
+from service.access.principal import KeyRates, Principal, Role
 from service.errors import StaleOwnerError, UnauthorizedError
 from service.store import instances
 from service.store.database import Database
@@ -43,6 +44,7 @@ class Peers:
             "exp": datetime.now(UTC) + _GOOD_FOR,
             "call": [method, target],
             "caller": [caller.tenant, caller.key_id, caller.role.value],
+            "rates": asdict(caller.rates),
             "until": "" if caller.expires is None else caller.expires.isoformat(),
         }
         return jwt.encode(claims, self._secret, _ALGORITHM)
@@ -61,7 +63,7 @@ class Peers:
                 [_ALGORITHM],
                 audience=self._me,
                 leeway=_SKEW,
-                options={"require": ["aud", "exp", "call", "caller", "until"]},
+                options={"require": ["aud", "exp", "call", "caller", "rates", "until"]},
             )
             if claims["call"] != [method, target]:
                 raise jwt.InvalidTokenError
@@ -72,4 +74,4 @@ class Peers:
             raise UnauthorizedError("no process of this cluster signed this call", field=f"header:{HEADER}") from error
         tenant, key_id, role = claims["caller"]
         until = datetime.fromisoformat(claims["until"]) if claims["until"] else None
-        return Principal(tenant, key_id, Role(role), until)
+        return Principal(tenant, key_id, Role(role), until, KeyRates(**claims["rates"]))

@@ -23,6 +23,7 @@ __all__ = [
     "LOCAL",
     "OIDC_PREFIX",
     "TENANT_PATTERN",
+    "KeyRates",
     "ModelKey",
     "Principal",
     "Role",
@@ -48,6 +49,15 @@ class Role(StrEnum):
 
 
 @dataclass(frozen=True)
+class KeyRates:
+    """What one key may do in a second; 0: any amount, None: as the settings say."""
+
+    calls_per_s: float | None = None
+    megabytes_per_s: float | None = None
+    megapixels_per_s: float | None = None
+
+
+@dataclass(frozen=True)
 class Principal:
     """The caller. ``key_id`` is an API key's id, ``oidc:<subject>``, ``bootstrap`` or ``local``; never a secret."""
 
@@ -55,6 +65,7 @@ class Principal:
     key_id: str
     role: Role
     expires: datetime | None = None  # of a credential that ends by itself
+    rates: KeyRates = KeyRates()
 
     def require(self, role: Role) -> None:
         """Raises ``ForbiddenError`` where the role is too small."""

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from service.access.keys import MAX_NAME
-from service.access.principal import Role
+from service.access.principal import KeyRates, Role
 from service.api.auth import Admin, Reader
 from service.api.bodies import read_json
 from service.api.paging import next_page, page_limit, page_response, problems
@@ -37,6 +37,16 @@ class Ticket(Wire):
     expires_in_s: float
 
 
+class Rates(Wire):
+    """What a key may do in a second: 0 is any amount, null as the settings say."""
+
+    calls_per_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
+    megabytes_per_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
+    """MiB of bodies."""
+    megapixels_per_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
+    """Of frames and backgrounds."""
+
+
 class KeyRequest(Wire):
     """A key to make, in the caller's tenant."""
 
@@ -45,6 +55,8 @@ class KeyRequest(Wire):
     """For people: whose it is, what for."""
     days: Annotated[float, Field(gt=0, le=36500)] | None = None
     """How long it is good; without it, until it is revoked."""
+    rates: Rates | None = None
+    """Its own; a tenant's admin may only give less than the settings do."""
 
 
 class ApiKey(Wire):
@@ -58,6 +70,8 @@ class ApiKey(Wire):
     revoked_at: str | None
     last_used_at: str | None
     """To some minutes."""
+    rates: Rates | None
+    """Its own; without them those of the settings."""
 
 
 class NewApiKey(ApiKey):
@@ -124,7 +138,9 @@ async def make_ticket(caller: Reader, services: ServicesDep, response: Response)
 async def create_key(request: Request, response: Response, caller: Admin, services: ServicesDep) -> dict[str, Any]:
     """A new key of the caller's tenant. This answer is the only one that shows it."""
     wanted = await read_json(request, KeyRequest)
-    record, text = await services.keys.create(caller.tenant, Role(wanted.role), wanted.name, wanted.days)
+    rates = KeyRates() if wanted.rates is None else KeyRates(**wanted.rates.model_dump())
+    services.limits.require_grantable(caller, rates)
+    record, text = await services.keys.create(caller.tenant, Role(wanted.role), wanted.name, wanted.days, rates)
     response.headers["Cache-Control"] = "no-store"
     response.headers["Location"] = f"/v1/keys/{record.id}"
     return {**_shown(asdict(record)), "key": text}

@@ -21,6 +21,7 @@ from service.errors import ConfigError, InputError, SkyposeError, TooLargeError,
 from service.settings import MEBIBYTE, Settings
 
 M = TypeVar("M", bound=BaseModel)
+_JSON_LIMIT = "SKYPOSE_MAX_JSON_KB"
 HASH_IN_LOOP_BYTES = 1 << 16
 DRAIN_FACTOR = 4
 DRAIN_S = 10.0
@@ -52,7 +53,7 @@ class BodyLimits:
                 size = len(message.get("body", b""))
                 try:
                     if size:
-                        _charge(services, scope, size, first=hold.size == 0)
+                        await _charge(services, scope, size, first=hold.size == 0, stored=name != _JSON_LIMIT)
                     if hold.size + size > limit:
                         raise _too_large(name, limit)
                     hold.grow(size)
@@ -80,17 +81,21 @@ class BodyLimits:
             return "SKYPOSE_MAX_MODEL_MB", settings.max_model_mb * MEBIBYTE
         if last == "background" or "/frames" in path:
             return "SKYPOSE_MAX_FRAME_MB", settings.max_frame_mb * MEBIBYTE
-        return "SKYPOSE_MAX_JSON_KB", settings.max_json_kb * 1024
+        return _JSON_LIMIT, settings.max_json_kb * 1024
 
 
-def _charge(services: Services, scope: Scope, size: int, *, first: bool) -> None:
-    """Count bytes for the caller; whoever is in debt is refused at the first, not in the middle."""
+async def _charge(services: Services, scope: Scope, size: int, *, first: bool, stored: bool) -> None:
+    """Count bytes for the caller; whoever is in debt, or has no room, is refused at the first, not in the middle."""
     state = scope.get("state", {})
     caller: Principal | None = state.get(PRINCIPAL)
     if caller is not None and not state.get(FORWARDED):  # else they were counted where the call came in
         if first:
             services.limits.check(caller, "bytes")
+            if stored:
+                await services.stored.require_room(caller.tenant)
         services.limits.take(caller, "bytes", size)
+        if stored:
+            services.stored.grew(caller.tenant, size)
 
 
 def _too_large(setting: str, limit: int) -> TooLargeError:

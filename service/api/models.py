@@ -9,6 +9,7 @@ import orjson
 from fastapi import APIRouter, Query, Request, Response
 from starlette.datastructures import FormData, UploadFile
 
+from service.access.principal import tenant_of
 from service.api import schemas
 from service.api.auth import OperateModel, Operator, Reader, ReadModel
 from service.api.paging import next_page, page_limit, page_response, problems
@@ -111,6 +112,7 @@ async def read_mesh(model: ReadModel, services: ServicesDep) -> Response:
 async def delete_model(model: OperateModel, services: ServicesDep) -> None:
     """Delete a model that no session needs."""
     await services.library.remove(model)
+    services.stored.forget(tenant_of(model))
 
 
 async def _read_upload(request: Request) -> Upload:

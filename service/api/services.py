@@ -13,6 +13,7 @@ from service.access.audit import Audit
 from service.access.gate import Gate
 from service.access.keys import Keys
 from service.access.limits import Limits
+from service.access.stored import StoredBytes
 from service.access.tickets import Tickets
 from service.api.forwarding import Forwarding
 from service.api.submissions import Submissions
@@ -49,6 +50,7 @@ class Services:
     keys: Keys
     tickets: Tickets
     limits: Limits
+    stored: StoredBytes
     audit: Audit
     started: datetime
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
+from service.access.principal import tenant_of
 from service.api import schemas
 from service.api.auth import OperateSession, Operator, Reader, ReadSession
 from service.api.bodies import read_json
@@ -80,3 +81,4 @@ async def move_session(
 async def delete_session(session: OperateSession, services: ServicesDep) -> None:
     """Delete a session with its whole history."""
     await services.registry.remove(session)
+    services.stored.forget(tenant_of(session))

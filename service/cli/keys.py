@@ -18,7 +18,8 @@ if typing.TYPE_CHECKING:
 keys = typer.Typer(name="keys", no_args_is_help=True, help="API keys: create, list, revoke (docs/security.md).")
 DataOption = Annotated[Path | None, typer.Option("--data", help="Data directory.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-_SHOWN = ("id", "tenant", "role", "name", "created_at", "expires_at", "revoked_at", "last_used_at")
+RateOption = Annotated[float | None, typer.Option(min=0, help="Its own rate; 0 is any. Default: that of the settings.")]
+_SHOWN = ("id", "tenant", "role", "name", "created_at", "expires_at", "revoked_at", "last_used_at", "rates")
 _MOST, _WIDTH = 1_000_000, 180
 R = TypeVar("R")
 
@@ -29,17 +30,21 @@ def create(
     name: Annotated[str, typer.Option(help="For people: whose it is, what for.")],
     tenant: Annotated[str, typer.Option(help="Whose models and sessions it sees.")] = "default",
     days: Annotated[float | None, typer.Option(min=0.001, max=36500, help="How long it is good.")] = None,
+    calls_per_s: RateOption = None,
+    megabytes_per_s: RateOption = None,
+    megapixels_per_s: RateOption = None,
     data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Make a key. Its text is printed once, and stored nowhere."""
     from service.access.keys import new_key
-    from service.access.principal import Role
+    from service.access.principal import KeyRates, Role
     from service.errors import ConfigError
     from service.store import api_keys, audit
 
     try:
-        record, text = new_key(tenant, Role(role), name, days)
+        rates = KeyRates(calls_per_s, megabytes_per_s, megapixels_per_s)
+        record, text = new_key(tenant, Role(role), name, days, rates)
     except ConfigError as error:
         raise typer.BadParameter(error.detail, param_hint=f"--{error.field}") from error
 

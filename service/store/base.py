@@ -156,6 +156,7 @@ class KeyRecord:
     expires_at: str | None = None
     revoked_at: str | None = None
     last_used_at: str | None = None
+    rates: Mapping[str, float] | None = None  # its own, by name; None: those of the settings
     number: int = 0
 
 

@@ -22,7 +22,7 @@ log = structlog.get_logger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 
-NEWEST_REVISION = "0004"
+NEWEST_REVISION = "0005"
 
 
 class Database(ABC):

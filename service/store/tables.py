@@ -173,6 +173,7 @@ api_keys = Table(
     Column("expires_at", String),
     Column("revoked_at", String),
     Column("last_used_at", String),
+    Column("rates", JSON(none_as_null=True)),
     sqlite_autoincrement=True,
 )
 

@@ -65,6 +65,40 @@ async def test_rates_of_a_key(make_app, tmp_path):
         assert (await (await callers.client("acme")).http.get("/v1/me")).status_code == 200
 
 
+async def test_rates_of_its_own(make_app, tmp_path):
+    async with guarded(make_app, tmp_path) as callers:
+        operator, acme = await callers.client("default"), await callers.client("acme")
+        wanted = {"role": "read", "name": "slow", "rates": {"calls_per_s": 1}}
+        for admin in (operator, acme):
+            made = (await admin.http.post("/v1/keys", json=wanted)).json()
+            assert made["rates"]["calls_per_s"] == 1
+            slow = await callers.with_token(made["key"])
+            answers = [await slow.http.get("/v1/me") for _ in range(8)]
+            limit_named(answers[-1], "calls_per_s of the key", "rate-limited")
+            listed = (await admin.http.get("/v1/keys")).json()["keys"]
+            assert listed[-1]["rates"] == {"calls_per_s": 1}
+        wanted["rates"] = {"calls_per_s": 1e6}
+        assert (await operator.http.post("/v1/keys", json=wanted)).status_code == 201
+        refused = await acme.http.post("/v1/keys", json=wanted)
+        assert (refused.status_code, refused.json()["field"]) == (422, "rates.calls_per_s")
+
+
+async def test_stored_bytes_of_a_tenant(make_app, tmp_path):
+    async with guarded(make_app, tmp_path, quota_stored_mb=1) as callers:
+        acme, other = await callers.client("acme"), await callers.client("other")
+        full = await acme.ready_session()
+        padded = image() + bytes(1 << 20)  # PNG ends before
+        assert (await acme.http.post(f"/v1/sessions/{full}/frames", content=padded, headers=PNG)).status_code == 200
+        limit_named(await acme.post(full, 2), "SKYPOSE_QUOTA_STORED_MB")
+        limit_named(await acme.model(CUBE + b"2"), "SKYPOSE_QUOTA_STORED_MB")
+        callers.app.state.services.stored.forget("acme")  # what is measured agrees with what was counted
+        limit_named(await acme.post(full, 2), "SKYPOSE_QUOTA_STORED_MB")
+        assert (await acme.http.get(f"/v1/sessions/{full}/estimates")).status_code == 200
+        assert (await other.post(await other.ready_session(), 1)).status_code == 200
+        assert (await acme.http.delete(f"/v1/sessions/{full}")).status_code == 204
+        assert (await acme.post(await acme.ready_session(), 1)).status_code == 200
+
+
 async def test_calls_under_way_are_bounded(make_app):
     """Past the limit a call is answered 503 at once; the ones under way end as if nothing had been."""
     async with running(make_app(SlowWorker, max_calls=4)) as api:

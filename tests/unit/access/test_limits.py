@@ -3,8 +3,8 @@
 import pytest
 
 from service.access.limits import MEGAPIXEL, MOST_KEYS, Limits
-from service.access.principal import LOCAL, Principal, Role
-from service.errors import RateLimitedError
+from service.access.principal import LOCAL, KeyRates, Principal, Role
+from service.errors import ConfigError, RateLimitedError
 from service.settings import Settings
 
 ANOTHER = Principal("acme", "k", Role.OPERATE)
@@ -69,3 +69,28 @@ def test_memory_is_bounded():
     for n in range(MOST_KEYS + 10):
         bucket.check(Principal("acme", str(n), Role.READ), "calls")
     assert len(bucket._buckets) == MOST_KEYS
+
+
+def test_a_key_has_rates_of_its_own():
+    bucket, clock = limits(rate_calls_per_s=1000, rate_megapixels_per_s=1)
+    slow = Principal("acme", "slow", Role.OPERATE, rates=KeyRates(calls_per_s=1, megapixels_per_s=0))
+    bucket.take(slow, "calls", 3)
+    with pytest.raises(RateLimitedError) as refusal:
+        bucket.check(slow, "calls")
+    assert refusal.value.facts == {"limit": 1, "setting": "calls_per_s of the key", "retry_after_s": 1}
+    bucket.take(slow, "pixels", 1e12)
+    bucket.check(slow, "pixels")  # 0: any amount
+    bucket.take(ANOTHER, "calls", 3)
+    bucket.check(ANOTHER, "calls")
+    clock.now += 1.5
+    bucket.check(slow, "calls")
+
+
+@pytest.mark.parametrize("rate", [0.0, 1001.0])
+def test_a_tenant_cannot_give_itself_more_than_the_settings(rate):
+    bucket, _ = limits(rate_calls_per_s=1000)
+    with pytest.raises(ConfigError) as refusal:
+        bucket.require_grantable(ANOTHER, KeyRates(calls_per_s=rate))
+    assert refusal.value.facts == {"limit": 1000, "setting": "SKYPOSE_RATE_CALLS_PER_S"}
+    bucket.require_grantable(ANOTHER, KeyRates(calls_per_s=1000.0))
+    bucket.require_grantable(LOCAL, KeyRates(calls_per_s=rate))
