@@ -250,7 +250,7 @@ class ScorerFailedError(BusyError):
 
 
 class StorageError(BusyError):
-    """The database refused a write; nothing of it was stored."""
+    """The database refused a write; nothing of it was stored, or the detail says that this is not known."""
 
     slug, title = "storage-failed", "Storage failed"
     retry_after_s = 2
