@@ -111,11 +111,14 @@ class SqliteCounters:
 
 
 class PostgresCounters:
-    """The server's own statistics: rows inserted, updated and deleted; the database's size; its write-ahead log."""
+    """The server's own statistics: rows inserted, updated and deleted; the database's size; its write-ahead log.
+
+    Rows are those of the tables, not the pieces of two kilobytes in which PostgreSQL keeps large values beside them.
+    """
 
     _QUERY = (
-        "SELECT tup_inserted + tup_updated + tup_deleted, pg_database_size(datname), "
-        "pg_wal_lsn_diff(pg_current_wal_lsn(), '0/0') FROM pg_stat_database WHERE datname = current_database()"
+        "SELECT sum(n_tup_ins + n_tup_upd + n_tup_del), pg_database_size(current_database()), "
+        "pg_wal_lsn_diff(pg_current_wal_lsn(), '0/0') FROM pg_stat_user_tables"
     )
 
     def __init__(self, url: str) -> None:
