@@ -46,8 +46,8 @@ class _Channel:
         self.changed = asyncio.Event()
 
     def since(self, cursor: int) -> list[StoredEvent] | None:
-        """Events after ``cursor``, or None where the ring does not reach back so far."""
-        if not self.ring or self.ring[0].seq > cursor + 1:
+        """Events after ``cursor``, or None where the ring does not reach back so far, or not to the newest."""
+        if not self.ring or self.ring[0].seq > cursor + 1 or self.ring[-1].seq < self.newest:
             return None
         return [event for event in self.ring if event.seq > cursor]
 
@@ -89,7 +89,7 @@ class Hub:
             if channel.ring and channel.ring[-1].seq != seq - 1:  # another process wrote what is between
                 channel.ring.clear()
             channel.ring.append(StoredEvent(seq, document))
-            channel.newest = seq
+            channel.newest = max(channel.newest, seq)  # another process, or the log, may have said more already
             channel.grow()
 
     def advance(self, session_id: SessionKey, newest: int) -> None:
