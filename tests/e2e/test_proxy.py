@@ -4,13 +4,16 @@ import os
 import shutil
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import httpx
 import pytest
+import yaml
 from fake_worker import CUBE
 from passes import fake_pass
 from postgres_server import Postgres
@@ -25,23 +28,29 @@ FRAMES = 6
 
 
 @pytest.fixture(scope="module")
-def processes(tmp_path_factory: pytest.TempPathFactory, postgres: Postgres) -> Iterator[list[Server]]:
+def database_url(postgres: Postgres) -> str:
+    """An empty database."""
+    return postgres.database()
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory: pytest.TempPathFactory, database_url: str) -> Iterator[list[Server]]:
     """Two of them, which know a key."""
     if shutil.which("caddy") is None:
         pytest.skip("caddy is not installed")
     folder = tmp_path_factory.mktemp("processes")
     (folder / "admin_key").write_text(KEY)
     settings = {
-        "database_url": postgres.database(),
+        "database_url": database_url,
         "auth": "required",
         "bootstrap_key_file": folder / "admin_key",
         "log_level": "error",
     }
     servers = [Server(folder / name, worker=WORKER, **settings) for name in ("one", "two")]
-    with ExitStack() as stack:
-        for server in servers:
-            server.start()
+    with ExitStack() as stack, ThreadPoolExecutor() as threads:
+        for started, server in [(threads.submit(server.start), server) for server in servers]:
             stack.callback(server.stop)
+            started.result()
         yield servers
 
 
@@ -103,6 +112,27 @@ def test_a_track_and_its_stream_go_through_while_a_process_dies(address: str, pr
                 if len(seen) == FRAMES:
                     break
             assert seen == list(range(FRAMES))
+
+
+def test_prometheus_is_given_a_key_that_reads_metrics(
+    root: Path, processes: list[Server], tmp_path: Path, database_url: str
+) -> None:
+    services = yaml.safe_load((root / "deploy" / "compose.cluster.yaml").read_text())["services"]
+    command = [word.replace("/data/", f"{tmp_path}/") for word in services["metrics-key"]["command"]]
+    folder = Path(sys.executable).parent
+    environment = {
+        **os.environ,
+        "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}",
+        "SKYPOSE_DATABASE_URL": database_url,
+        "SKYPOSE_DATA_DIR": str(tmp_path),
+    }
+    for _ in range(2):  # the second time there is nothing to do
+        subprocess.run(command, env=environment, check=True, timeout=120)
+        key = (tmp_path / "metrics").read_text().strip()
+        answer = httpx.get(f"{processes[1].url}/metrics", headers={"Authorization": f"Bearer {key}"})
+        assert "skypose_frames_total" in answer.raise_for_status().text
+    refused = httpx.post(f"{processes[1].url}/v1/sessions", json={}, headers={"Authorization": f"Bearer {key}"})
+    assert refused.status_code == httpx.codes.FORBIDDEN
 
 
 def test_the_proxy_speaks_tls_only_and_keys_are_asked_for(address: str) -> None:
