@@ -16,12 +16,12 @@ from service.exports.history import PoseName
 from service.inference.articulation import hold
 from service.inference.params import SessionConfig
 from service.sessions import config as session_config
-from service.sessions.contenders import require_one_model
+from service.sessions.contenders import of_the_leader
 from service.sessions.document import JointNames
 from service.sessions.frame_fits import image_with_pose, is_fits, original_with_pose
 from service.sessions.library import articulation_of
 from service.sessions.particle_set import ParticleSet
-from service.sessions.smoothing import smoothed_page
+from service.sessions.smoothing import SmoothedPages
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, SessionRecord
 from service.store.database import Database
@@ -39,6 +39,7 @@ class Archive:
     def __init__(self, database: Database, engine: Engine) -> None:
         self.database = database
         self._engine = engine
+        self._smoothed = SmoothedPages(database, engine)
 
     async def session(self, session_id: SessionKey) -> dict[str, Any]:
         """One session."""
@@ -62,7 +63,7 @@ class Archive:
 
     async def smoothed(self, session_id: SessionKey, after: int, limit: int) -> tuple[list[bytes], int | None]:
         """The same, each with all later frames taken into account."""
-        return await smoothed_page(self.database, self._engine, session_id, after, limit)
+        return await self._smoothed.page(session_id, after, limit)
 
     async def by_key(self, session_id: SessionKey, key: str) -> bytes | None:
         """The estimate of the frame that was sent with this idempotency key, or None."""
@@ -117,11 +118,15 @@ class Archive:
     async def export(
         self, session_id: SessionKey, form: str, pose: PoseName, *, name: str | None, object_id: str
     ) -> bytes:
-        """The history as a file. Raises ``ConflictError`` for an attitude format without any attitude."""
+        """The history as a file; where models are compared, the frames in which the one that now leads did.
+
+        Raises ``ConflictError`` for an attitude format without any attitude.
+        """
         record = await self.database.read(sessions.get, session_id)
-        require_one_model(record, "export")
-        joints = await self.joint_names(session_id)
         found, _ = await self.estimates(session_id, -1, EVERYTHING)
+        if record.model_ids:
+            found = await asyncio.to_thread(of_the_leader, found)
+        joints = await self.joint_names(session_id, record.next_index - 1 if found else None)
         subject = Subject(name or record.name or public_id(session_id), object_id, joints, datetime.now(UTC))
         return await asyncio.to_thread(_export, form, found, pose, subject)
 

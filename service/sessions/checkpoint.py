@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from hashlib import sha256
 from typing import Any
@@ -29,7 +30,14 @@ from service.sessions.checkpoint_check import (
     read_history,
     require_restored,
 )
-from service.sessions.contenders import require_one_model
+from service.sessions.checkpoint_models import (
+    Compared,
+    check_ranking,
+    model_row,
+    pack_models,
+    unpack_models,
+    uploads_of,
+)
 from service.sessions.document import JointNames
 from service.sessions.library import Library, Upload, articulation_of, content_id
 from service.sessions.registry import Registry
@@ -57,6 +65,7 @@ class Checkpoint:
     background: Bytes
     state: Bytes
     history: Bytes
+    compared: Compared | None = None  # of a session that compares models; ``model_file`` is then empty
 
 
 class Checkpoints:
@@ -79,7 +88,6 @@ class Checkpoints:
     async def get(self, session_id: SessionKey) -> bytes:
         """The session as it stands. Raises ``NotFoundError``."""
         stored = await self._database.read(checkpoints.read, session_id)
-        require_one_model(stored.record, "checkpoint")
         return await asyncio.to_thread(pack, stored)
 
     async def put(self, tenant: str, session_id: str, blob: bytes) -> tuple[dict[str, Any], bool]:
@@ -91,13 +99,18 @@ class Checkpoints:
         if not SESSION_ID.fullmatch(session_id):
             raise InputError("a session id has 1 to 64 letters, digits, - or _", field="session_id")
         packed = await asyncio.to_thread(decode, Checkpoint, blob)
-        upload = await asyncio.to_thread(_upload, packed)
-        model = await self._library.prepare(tenant, model_key(tenant, content_id(upload)), upload)
+        uploads = [_upload(packed)] if packed.compared is None else uploads_of(packed.compared)
+        models = [await self._prepare(tenant, upload) for upload in uploads]
         key = session_key(tenant, session_id)
-        given, job = await asyncio.to_thread(unpack, packed, key, model, self._check_estimate)
-        require_restored(given.record, await self._engine.restore(job))
+        given, jobs = await asyncio.to_thread(unpack, packed, key, models, self._check_estimate)
+        for job in jobs:
+            require_restored(given.record, await self._engine.restore(job), leads=job is jobs[0])
         new = await self._registry.take_in(given)
         return session_document(given.record), new
+
+    async def _prepare(self, tenant: str, upload: Upload) -> ModelRecord:
+        key = model_key(tenant, await asyncio.to_thread(content_id, upload))
+        return await self._library.prepare(tenant, key, upload)
 
 
 def pack(stored: StoredSession) -> bytes:
@@ -113,28 +126,33 @@ def pack(stored: StoredSession) -> bytes:
     return encode(
         Checkpoint(
             session=_json(session),
-            model=_json({"name": model.name, "file_type": model.file_type, "joints": model.joints}),
-            model_file=_array(stored.model_file),
+            model=_json(model_row(model)),
+            model_file=_array(b"" if stored.compared else stored.model_file),
             background=_array(stored.background or b""),
             state=_array(stored.state or b""),
             history=_json(history),
+            compared=pack_models(stored),
         )
     )
 
 
 def unpack(
-    packed: Checkpoint, key: SessionKey, model: ModelRecord, check_estimate: EstimateCheck
-) -> tuple[StoredSession, RestoreJob]:
-    """A checkpoint as a session to store, under this key, and the job that checks its background and particles.
+    packed: Checkpoint, key: SessionKey, models: Sequence[ModelRecord], check_estimate: EstimateCheck
+) -> tuple[StoredSession, list[RestoreJob]]:
+    """A checkpoint as a session to store, under this key, and the jobs that check its background and particles.
 
-    Raises ``CheckpointError`` for what does not fit.
+    The first job is of the particles that the session shows; one for each further model follows. Raises
+    ``CheckpointError`` for what does not fit.
     """
     try:
         given = read_header(packed.session.tobytes())
         given["config"] = session_config.document(session_config.parse(orjson.dumps(given["config"])))  # every section
         history = read_history(packed.history.tobytes())
+        model = models[0]
+        compared = () if packed.compared is None else unpack_models(packed.compared, models)
         record = SessionRecord(
             id=key,
+            model_ids=tuple(one.model.id for one in compared),
             tenant=model.tenant,
             model_id=model.id,
             **{**given, "warnings": tuple(given["warnings"])},
@@ -146,27 +164,32 @@ def unpack(
         stored = StoredSession(
             record=record,
             model=model,
-            model_file=packed.model_file.tobytes(),
+            model_file=compared[0].file if compared else packed.model_file.tobytes(),
             background=packed.background.tobytes() or None,
             state=packed.state.tobytes() or None,
             backgrounds=[dict(row) for row in history["backgrounds"]],
             frames=[dict(row) for row in history["frames"]],
             estimates=estimates,
             events=[dict(row) for row in history["events"]],
+            compared=compared,
         )
         return stored, _checked(stored, history, check_estimate)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise CheckpointError(f"the content does not fit: {error}", field="body") from error
 
 
-def _checked(stored: StoredSession, history: History, check_estimate: EstimateCheck) -> RestoreJob:
-    record = stored.record
+def _checked(stored: StoredSession, history: History, check_estimate: EstimateCheck) -> list[RestoreJob]:
+    record, newest = stored.record, history["estimates"][-1]["document"] if history["estimates"] else None
     config = session_config.parse(orjson.dumps(record.config))
-    articulation = articulation_of(stored.model)
-    session_config.check_joints(config, articulation)
-    names = JointNames.of(articulation, config)
+    names = {}
+    for model in [one.model for one in stored.compared] or [stored.model]:
+        articulation = articulation_of(model)
+        session_config.check_joints(config, articulation)
+        names[public_id(model.id)] = JointNames.of(articulation, config)
     check_history(record, history)
     check_estimates(history, names, check_estimate)
+    if stored.compared:
+        check_ranking(stored.compared, newest, stored.state)
     if record.background_key != (None if stored.background is None else sha256(stored.background).hexdigest()):
         raise ValueError("the background is missing, or another one")
     if (stored.state is None) != (record.next_index == 0) or (record.next_index and stored.background is None):
@@ -175,7 +198,11 @@ def _checked(stored: StoredSession, history: History, check_estimate: EstimateCh
     if (info is None) != (stored.background is None):
         raise ValueError("the background is not described")
     size = None if info is None else (info["width"], info["height"])
-    return RestoreJob(config, stored.background, size, stored.state, len(names.free))
+    shown = public_id(stored.model.id) if newest is None or not stored.compared else newest["models"][0]["model_id"]
+    states = {public_id(one.model.id): one.contender.state for one in stored.compared if one.contender.state}
+    jobs = {name: RestoreJob(config, stored.background, size, states[name], len(names[name].free)) for name in states}
+    jobs[shown] = RestoreJob(config, stored.background, size, stored.state, len(names[shown].free))
+    return [jobs.pop(shown), *jobs.values()]
 
 
 def _upload(packed: Checkpoint) -> Upload:

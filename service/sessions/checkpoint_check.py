@@ -170,24 +170,36 @@ def check_history(record: SessionRecord, history: History) -> None:
         raise ValueError("the session's time or status is not that of its last frame")
 
 
-def check_estimates(history: History, names: JointNames, check: EstimateCheck) -> None:
-    """Every estimate is one that this service could have given."""
-    size = 6 + len(names.free)
+def check_estimates(history: History, names: Mapping[str, JointNames], check: EstimateCheck) -> None:
+    """Every estimate is one that this service could have given. ``names``: by model."""
     for row in history["estimates"]:
         document = row["document"]
         check(document)
         _moment(document["time"])
-        if document["index"] != row["idx"] or document.get("models"):
+        if document["index"] != row["idx"]:
             raise ValueError("an estimate is not that of its frame")
+        free = names[_model_of(document, names)].free
+        size = 6 + len(free)
         for pose in (document["mean"], document["best"], *(mode["pose"] for mode in document["modes"])):
-            if not set(names.free) <= set(pose["joints"]):
+            if not set(free) <= set(pose["joints"]):
                 raise ValueError("an estimate lacks a joint")
         if np.shape(document["spread"]["covariance"]) != (size, size):
             raise ValueError(f"a covariance is not {size} x {size}")
 
 
-def require_restored(record: SessionRecord, found: RestoreReport) -> None:
-    """Raises ``CheckpointError`` where background or particles are not those that the session describes."""
+def _model_of(document: Mapping[str, Any], names: Mapping[str, JointNames]) -> str:
+    """The model that an estimate was made with; in a session that compares models, the first that it ranks."""
+    ranked = [entry["model_id"] for entry in document.get("models") or ()]
+    if sorted(ranked) != (sorted(names) if len(names) > 1 else []):
+        raise ValueError("an estimate ranks other models than those of the session")
+    return str(ranked[0]) if ranked else next(iter(names))
+
+
+def require_restored(record: SessionRecord, found: RestoreReport, *, leads: bool = True) -> None:
+    """Raises ``CheckpointError`` where background or particles are not those that the session describes.
+
+    ``leads``: the particles are those that the session shows, and not of a model that it holds for less probable.
+    """
     info = record.background_info or {}
     if (found.background_frames, found.channels, found.bits) != (
         record.background_frames,
@@ -195,9 +207,10 @@ def require_restored(record: SessionRecord, found: RestoreReport) -> None:
         info.get("bits"),
     ):
         raise CheckpointError("the background is not as the session describes it", field="body")
+    status = record.status if leads else found.status
     if record.next_index and (found.frame_index, found.time_s, found.status) != (
         record.next_index - 1,
         record.time_s,
-        record.status,
+        status,
     ):
         raise CheckpointError("the particles are not those of the last frame", field="body")

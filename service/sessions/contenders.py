@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import orjson
 
-from service.errors import ConflictError
 from service.inference.articulation import Articulation
 from service.inference.params import SessionConfig
 from service.inference.symmetry import Symmetry
 from service.inference.weights import normalise
 from service.sessions.document import JointNames
 from service.sessions.library import articulation_of, twins_of
-from service.store.base import ModelRecord, SessionRecord, StoredContender
+from service.store.base import ModelRecord, StoredContender
 from service.store.scope import public_id
 from service.workers.base import PackedFrameReport
 
@@ -68,9 +68,13 @@ def stored(contenders: Sequence[Contender]) -> tuple[StoredContender, ...]:
     return tuple(StoredContender(c.model.id, c.state, c.log_evidence) for c in contenders)
 
 
-def require_one_model(record: SessionRecord, what: str) -> None:
-    """Refuse what only makes sense with one model. Raises ``ConflictError``."""
-    if record.model_ids:
-        raise ConflictError(
-            f"a session that compares models has no {what}: begin one with the model it found", field="session_id"
-        )
+def model_of(estimate: Mapping[str, Any]) -> str | None:
+    """The model that an estimate was made with; None in a session that has one."""
+    ranked = estimate.get("models")
+    return str(ranked[0]["model_id"]) if ranked else None
+
+
+def of_the_leader(estimates: Sequence[bytes]) -> list[bytes]:
+    """Those of the estimates, as JSON, that were made with the model of the last."""
+    models = [model_of(orjson.loads(estimate)) for estimate in estimates]
+    return [estimate for estimate, model in zip(estimates, models, strict=True) if model == models[-1]]

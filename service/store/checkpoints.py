@@ -10,13 +10,22 @@ from sqlalchemy import Connection, Table, delete, insert, select
 
 from service.errors import ConflictError
 from service.store import models, sessions
-from service.store.base import NO_QUOTAS, ModelRecord, Quotas, SessionRecord
+from service.store.base import NO_QUOTAS, ModelRecord, Quotas, SessionRecord, StoredContender
 from service.store.scope import SessionKey, public_id
 from service.store.signals import Signal, alone, send
 from service.store.tables import backgrounds, estimates, events, frames, particles
 from service.store.tables import sessions as sessions_table
 
 Rows = Sequence[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class ComparedModel:
+    """One of the models that a session compares, with its posterior."""
+
+    model: ModelRecord
+    file: bytes
+    contender: StoredContender
 
 
 @dataclass(frozen=True)
@@ -32,6 +41,7 @@ class StoredSession:
     frames: Rows
     estimates: Rows
     events: Rows
+    compared: Sequence[ComparedModel] = ()  # in the session's order, ``model`` the first; none for a plain session
 
 
 def read(connection: Connection, session_id: SessionKey) -> StoredSession:
@@ -49,7 +59,13 @@ def read(connection: Connection, session_id: SessionKey) -> StoredSession:
         frames=_rows(connection, frames, session_id),
         estimates=_rows(connection, estimates, session_id),
         events=_rows(connection, events, session_id),
+        compared=[_compared(connection, one) for one in sessions.compared(connection, session_id)],
     )
+
+
+def _compared(connection: Connection, one: StoredContender) -> ComparedModel:
+    model = models.get(connection, one.model_id)
+    return ComparedModel(model, models.get_blob(connection, model.blob_key), one)
 
 
 def write(connection: Connection, given: StoredSession, quotas: Quotas = NO_QUOTAS) -> bool:
@@ -61,6 +77,8 @@ def write(connection: Connection, given: StoredSession, quotas: Quotas = NO_QUOT
     alone(connection)
     old = _earlier(connection, given)
     models.add(connection, given.model, given.model_file, quotas)
+    for one in given.compared:
+        models.add(connection, one.model, one.file, quotas)
     if given.background is not None and record.background_key is not None:
         models.put_blob(connection, record.background_key, given.background)
     if old is not None:
@@ -69,6 +87,7 @@ def write(connection: Connection, given: StoredSession, quotas: Quotas = NO_QUOT
             models.drop_blob_if_unused(connection, old.background_key)
         record = replace(record, epoch=old.epoch + 1)  # whoever owned it can write no more
     sessions.add(connection, record, quotas)
+    sessions.put_contenders(connection, record.id, [one.contender for one in given.compared])
     for table, rows in (
         (backgrounds, given.backgrounds),
         (frames, given.frames),
@@ -91,7 +110,8 @@ def _earlier(connection: Connection, given: StoredSession) -> SessionRecord | No
     old = sessions.get(connection, given.record.id)
     mine = {row["idx"]: row["sha256"] for row in _rows(connection, frames, old.id)}
     theirs = {row["idx"]: row["sha256"] for row in given.frames}
-    if old.model_id != given.record.model_id or not mine.items() <= theirs.items():
+    same = (old.model_id, old.model_ids) == (given.record.model_id, given.record.model_ids)
+    if not same or not mine.items() <= theirs.items():
         raise ConflictError(
             f"session {public_id(old.id)} is here with other frames, or further on",
             field="session_id",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
+import types
 import typing
 import zlib
 from collections.abc import Mapping
@@ -128,6 +129,8 @@ def _unpack(node: Any, hint: Any, arrays: list[NDArray[Any]]) -> Any:
     if tag == "map":
         inner = (typing.get_args(hint) or (str, None))[-1]
         return {key: _unpack(item, inner, arrays) for key, item in body.items()}
+    if isinstance(hint, types.UnionType):  # what may be None, and is not
+        (hint,) = (kind for kind in typing.get_args(hint) if kind is not types.NoneType)
     hints = typing.get_type_hints(hint)
     unknown = set(body) - {f.name for f in dataclasses.fields(hint)}
     if tag != "fields" or unknown:

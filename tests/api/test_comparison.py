@@ -1,11 +1,17 @@
 """Sessions of several models: which spacecraft is this."""
 
+from dataclasses import replace
+from hashlib import sha256
+
 import numpy as np
+import orjson
 import pytest
 from api_client import PNG, image, running
-from fake_worker import CUBE
+from fake_worker import CUBE, FakeWorker
 
 from gpu.mesh import load_mesh
+from service.inference.belief import Belief
+from service.sessions.checkpoint import Checkpoint
 from service.simulate.folder import encode_png
 from service.simulate.glb_writer import SolidNode, write_glb
 from service.simulate.motion import Motion
@@ -14,6 +20,7 @@ from service.simulate.satellite import demo_satellite
 from service.simulate.scenario import Scenario
 from service.simulate.sequence import SimulatedPass
 from service.workers.base import ModelJob
+from service.workers.codec import decode, encode
 from service.workers.tracker import Tracker
 
 pytestmark = pytest.mark.anyio
@@ -64,12 +71,85 @@ async def test_exactly_once_and_across_a_restart(make_app):
         assert (one["best"], one["models"]) == (other["best"], other["models"])
 
 
+class Fickle(FakeWorker):
+    """Thinks that it is the first model, and from the third frame on that it is the second."""
+
+    def track(self, job):
+        report = super().track(job)
+        likely = job.model == sha256(CUBES[0 if job.frame_index < 2 else 1]).hexdigest()
+        evidence = (10.0 if job.frame_index < 2 else 100.0) if likely else 0.0
+        size = report.state.rates.shape[1]
+        spread = 1e-4 * np.eye(2 * size)[None]
+        belief = Belief(job.time_s, 1.0, np.zeros(1), report.state.poses[slice(1)], np.zeros((1, size)), spread)
+        return replace(report, estimate=replace(report.estimate, log_evidence=evidence), belief=belief)
+
+
+async def test_goes_on_from_its_checkpoint(make_app, tmp_path):
+    async with running(make_app(Fickle)) as one, running(make_app(Fickle, data_dir=tmp_path / "other")) as two:
+        session_id, _ = await ready_comparison(one)
+        here = f"/v1/sessions/{session_id}"
+        empty = (await one.http.get(f"{here}/checkpoint")).content
+        assert (await two.http.put(f"{here}/checkpoint", content=empty)).status_code == 201
+        for n in range(2):
+            await one.put(session_id, n, n)
+        blob = (await one.http.get(f"{here}/checkpoint")).content
+        assert (await two.http.put(f"{here}/checkpoint", content=blob)).status_code == 200
+        for n in range(1, 5):  # the second of them again, then three more
+            answers = [(await server.put(session_id, n, n)).json() for server in (one, two)]
+            assert answers[0]["best"] == answers[1]["best"]
+            assert answers[0]["models"] == answers[1]["models"]
+        assert (await two.http.get(f"{here}/particles")).json() == (await one.http.get(f"{here}/particles")).json()
+        # A comparison of other models is no earlier stand of it.
+        other, _ = await comparison(two, files=CUBES[:2])
+        assert (await two.http.put(f"/v1/sessions/{other}/checkpoint", content=blob)).status_code == 409
+
+
+async def test_forged_checkpoints_of_comparisons(make_app, tmp_path):
+    async with running(make_app(Fickle)) as one, running(make_app(Fickle, data_dir=tmp_path / "other")) as two:
+        session_id, _ = await ready_comparison(one)
+        for n in range(2):
+            await one.put(session_id, n, n)
+        good = decode(Checkpoint, (await one.http.get(f"/v1/sessions/{session_id}/checkpoint")).content)
+        rows = orjson.loads(good.compared.rows.tobytes())
+        text = np.frombuffer(orjson.dumps([*rows[:-1], {**rows[-1], "log_evidence": 1e9}]), np.uint8)
+        fewer = np.frombuffer(orjson.dumps(rows[:2]), np.uint8)
+        states = {**good.compared.states, "0": good.compared.states["1"]}
+        wrong = [
+            replace(good, compared=None),
+            replace(good, compared=replace(good.compared, rows=text)),  # what the newest estimate does not say
+            replace(good, compared=replace(good.compared, rows=fewer)),
+            replace(
+                good, compared=replace(good.compared, files={**good.compared.files, "0": good.compared.files["1"]})
+            ),
+            replace(good, compared=replace(good.compared, states=states)),
+            replace(good, compared=replace(good.compared, states={})),
+        ]
+        for forged in wrong:
+            answer = await two.http.put("/v1/sessions/x/checkpoint", content=encode(forged))
+            assert answer.status_code == 422, answer.text
+        assert (await two.http.get("/v1/sessions")).json()["sessions"] == []
+
+
+async def test_export_and_smoothing_follow_the_model_that_leads(make_app):
+    async with running(make_app(Fickle)) as api:
+        session_id, models = await ready_comparison(api)
+        here = f"/v1/sessions/{session_id}"
+        assert len((await api.http.get(f"{here}/export?format=csv")).text.splitlines()) == 1
+        for n, leads in enumerate((0, 0, 1, 1)):
+            answer = (await api.put(session_id, n, n)).json()
+            assert answer["models"][0]["model_id"] == models[leads]
+            lines = (await api.http.get(f"{here}/export?format=csv")).text.splitlines()
+            assert len(lines) == 1 + (n + 1 if n < 2 else n - 1)
+        assert [line.split(",")[0] for line in lines[1:]] == ["2", "3"]
+        smoothed = (await api.http.get(f"{here}/estimates?smoothed=true")).json()["estimates"]
+        assert [estimate["smoothed"] for estimate in smoothed] == [False, False, True, True]
+        assert [set(estimate["best"]["joints"]) for estimate in smoothed] == [{"panel"}] * 2 + [set()] * 2
+
+
 async def test_what_is_refused(api):
     session_id, models = await ready_comparison(api)
     await api.put(session_id, 0, 0)
     here = f"/v1/sessions/{session_id}"
-    for path in ("checkpoint", "export?format=csv", "estimates?smoothed=true"):
-        assert (await api.http.get(f"{here}/{path}")).status_code == 409
     for body in (
         {},
         {"model_id": models[0], "model_ids": models},

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import httpx
+import trimesh
 
 sys.path += [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "e2e")]
 from api_client import running
@@ -22,6 +23,7 @@ from tests.fuzz.mutate import forge
 
 CONFIG = {"filter": {"particles": 60, "acquisition_particles": 100}}
 GIVEN = box_pass(5, size=32)
+CUBE = trimesh.creation.box((1.0, 1.0, 1.0)).export(file_type="stl")
 EXPORTS = ("aem", "apm", "stk", "czml", "csv", "npz")
 
 
@@ -49,21 +51,24 @@ class Remembering(Tracker):
 
 
 async def run(count: int, seed: int) -> Findings:
-    """``count`` forgeries of checkpoints with and without border background."""
+    """``count`` forgeries of checkpoints with and without border background, and of two models."""
     found = Findings()
     with tempfile.TemporaryDirectory() as folder:
         settings = Settings(data_dir=Path(folder), log_level="error")
         async with running(create_app(settings, InlineTransport(Remembering))) as api:
-            blobs = [await _good(api.http, query) for query in ("", "?border=4")]
+            blobs = [await _good(api.http, query, many) for query, many in (("", 1), ("?border=4", 1), ("", 2))]
             for number in range(count):
                 dice = random.Random(seed << 32 | number)
-                await _try(api.http, forge(dice, blobs[number % 2]), f"forged-{number}", found)
+                await _try(api.http, forge(dice, blobs[number % 3]), f"forged-{number}", found)
     return found
 
 
-async def _good(http: httpx.AsyncClient, query: str) -> bytes:
-    model = (await http.post("/v1/models", files={"file": ("box.stl", GIVEN.mesh)})).raise_for_status().json()
-    session = (await http.post("/v1/sessions", json={"model_id": model["model_id"], **CONFIG})).raise_for_status()
+async def _good(http: httpx.AsyncClient, query: str, many: int) -> bytes:
+    files = [("box.stl", GIVEN.mesh), ("cube.stl", CUBE)][:many]
+    models = [(await http.post("/v1/models", files={"file": one})).raise_for_status().json() for one in files]
+    ids = [model["model_id"] for model in models]
+    chosen = {"model_id": ids[0]} if many == 1 else {"model_ids": ids}
+    session = (await http.post("/v1/sessions", json={**chosen, **CONFIG})).raise_for_status()
     here = f"/v1/sessions/{session.json()['session_id']}"
     for image in GIVEN.background:
         (await http.post(f"{here}/background{query}", content=image, headers=PNG)).raise_for_status()
