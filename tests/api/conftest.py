@@ -33,6 +33,13 @@ def make_app(tmp_path: Path, request: pytest.FixtureRequest) -> Callable[..., Fa
 
 
 @pytest.fixture
+def one_process() -> None:
+    """Of tests about SQLite's file, or about what a single process answers where several would try again."""
+    if os.environ.get("SKYPOSE_TEST_POSTGRES"):
+        pytest.skip("about one process with SQLite")
+
+
+@pytest.fixture
 async def api(make_app: Callable[..., FastAPI], anyio_backend: str) -> AsyncIterator[Api]:
     """The application with default settings."""
     async with running(make_app()) as client:

@@ -58,6 +58,7 @@ async def test_wrong_secret_of_a_known_id(make_app, tmp_path):
         assert answers[0].content == answers[1].content
 
 
+@pytest.mark.usefixtures("one_process")
 async def test_use_is_noted_and_the_secret_is_not_stored(make_app, tmp_path):
     async with guarded(make_app, tmp_path) as callers:
         key = await callers.key("acme")

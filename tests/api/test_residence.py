@@ -51,6 +51,7 @@ async def test_busy_session_stays(make_app):
         assert (await posted).status_code == 200
 
 
+@pytest.mark.usefixtures("one_process")
 async def test_owner_that_was_overtaken_writes_nothing_and_is_replaced(make_app):
     app = make_app()
     async with running(app) as api:

@@ -40,6 +40,7 @@ async def undisturbed(make_app, tmp_path) -> list[dict]:
         return [comparable((await api.put(session_id, n, n)).json()) for n in range(N_FRAMES)]
 
 
+@pytest.mark.usefixtures("one_process")
 async def test_every_failing_call_of_a_session_is_survived(make_app, tmp_path):
     expected = await undisturbed(make_app, tmp_path)
     app = make_app()
@@ -68,6 +69,7 @@ async def test_every_failing_call_of_a_session_is_survived(make_app, tmp_path):
     print(f"{failures} failing calls in {N_FRAMES} frames")
 
 
+@pytest.mark.usefixtures("one_process")
 async def test_full_disk_is_refused_and_survived(make_app, tmp_path):
     expected = await undisturbed(make_app, tmp_path)
     app = make_app()

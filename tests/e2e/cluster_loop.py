@@ -33,7 +33,6 @@ from postgres_server import Postgres  # noqa: E402
 from server_process import Server  # noqa: E402
 
 WORKER = "fake_worker:SlowWorker"
-LEASE_S = 2.0
 STRIKES = ("web", "web", "worker", "worker", "web+worker", "worker+worker")
 FENCED = "nothing of the frame is stored"
 
@@ -52,14 +51,18 @@ class Toll:
 class Cluster:
     """The two web processes, their database and its server."""
 
-    def __init__(self, folder: Path, postgres: Postgres) -> None:
+    def __init__(self, folder: Path, postgres: Postgres, lease_s: float) -> None:
         self.postgres = postgres
+        self.lease_s = lease_s
         self.url = postgres.database()
-        given = {"database_url": self.url, "lease_s": LEASE_S, "log_level": "warning", "log_format": "text"}
+        given = {"database_url": self.url, "lease_s": lease_s, "log_level": "warning", "log_format": "text"}
         self.webs = [Server(folder / name, worker=WORKER, **given) for name in ("a", "b")]
         self._starting: dict[str, threading.Thread] = {}
-        for web in self.webs:
-            web.start()
+        starts = [threading.Thread(target=web.start) for web in self.webs]
+        for start in starts:
+            start.start()
+        for start in starts:
+            start.join()
         self.database = Database(self.url)
 
     def kill(self, web: Server) -> None:
@@ -136,7 +139,7 @@ def pause(cluster: Cluster, clients: list[Client], toll: Toll) -> None:
     try:
         for client in clients:
             toll.pauses.append(client.answered_after(moment) - moment)
-        while cluster.owner(clients[0].session) in (None, owner) or time.monotonic() < moment + 2 * LEASE_S:
+        while cluster.owner(clients[0].session) in (None, owner) or time.monotonic() < moment + 2 * cluster.lease_s:
             time.sleep(0.05)
     finally:
         os.kill(owner.pid, signal.SIGCONT)
@@ -230,11 +233,13 @@ def _shares(times: list[float]) -> dict[str, float]:
     return {f"p{p}": round(float(np.percentile(times, p)), 3) for p in (50, 99, 100)} if times else {}
 
 
-def run(kills: int, minutes: float, n_sessions: int, seed: int, postgres: Postgres) -> dict[str, Any]:
+def run(
+    kills: int, minutes: float, n_sessions: int, seed: int, postgres: Postgres, lease_s: float = 2.0
+) -> dict[str, Any]:
     """The whole loop, on a server that is running."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        cluster = Cluster(folder, postgres)
+        cluster = Cluster(folder, postgres, lease_s)
         cluster.database.watch_writes()
         urls = [web.url for web in cluster.webs]
         clients = [Client(urls, fake_session(urls[n % 2]), seed + n) for n in range(n_sessions)]
