@@ -47,22 +47,35 @@ class CpuOutline:
 
     def __init__(self, queue: cl.CommandQueue, table: DeviceTable) -> None:
         self._queue, self._table = queue, table
-        options = [f"-D{name}={value}" for name, value in CONSTANTS.items()]
-        program = build(queue.context, "lanes.cl", "sorting.cl", "outline_cpu.cl", options=options)
+        program = self._build()
         self._score = cl.Kernel(program, "score")
         self._score_shifts = cl.Kernel(program, "score_shifts")
+        self._score_placed: cl.Kernel | None = None
         self._groups = queue.device.max_compute_units
         self._memory: tuple[tuple[int, int], cl.Buffer, int] | None = None
 
     def score(
-        self, transforms: cl.Buffer, n: int, prefix: cl.Buffer, n_maps: int, shape: tuple[int, int], out: cl.Buffer
+        self,
+        transforms: cl.Buffer,
+        n: int,
+        prefix: cl.Buffer,
+        n_maps: int,
+        shape: tuple[int, int],
+        out: cl.Buffer,
+        places: cl.Buffer | None = None,
     ) -> None:
-        """Write (n, n_maps) int64 scores to ``out``."""
+        """Write (n, n_maps) int64 scores to ``out``; ``places`` (n,) int32: each one's set of maps in ``prefix``."""
         height, width = shape
         memory, each = self._scratch(shape)
         sizes = (np.int32(n_maps), np.int32(width), np.int32(height))
         tail = (out, memory, np.int32(each), zero(self._queue.context))
-        self._launch(self._score, transforms, np.int32(n), *self._table.arguments, prefix, *sizes, *tail)
+        head = (transforms, np.int32(n), *self._table.arguments, prefix, *sizes, *tail)
+        if places is None:
+            self._launch(self._score, *head)
+            return
+        if self._score_placed is None:
+            self._score_placed = cl.Kernel(self._build("-DPLACED"), "score")
+        self._launch(self._score_placed, *head, places)
 
     def score_shifts(
         self,
@@ -81,6 +94,10 @@ class CpuOutline:
         tail = (out, memory, np.int32(each), zero(self._queue.context))
         head = (transforms, np.int32(n), *self._table.arguments, prefix)
         self._launch(self._score_shifts, *head, *(np.int32(v) for v in numbers), *tail)
+
+    def _build(self, *more: str) -> cl.Program:
+        options = [f"-D{name}={value}" for name, value in CONSTANTS.items()]
+        return build(self._queue.context, "lanes.cl", "sorting.cl", "outline_cpu.cl", options=[*options, *more])
 
     def _launch(self, kernel: cl.Kernel, *arguments: KernelArgument) -> None:
         kernel(self._queue, (self._groups,), (1,), *arguments)

@@ -23,7 +23,7 @@ class GpuOutline:
 
     def __init__(self, queue: cl.CommandQueue, table: DeviceTable) -> None:
         self._queue, self._table = queue, table
-        self._kernels: dict[tuple[int, int], cl.Kernel] = {}
+        self._kernels: dict[tuple[int, int, bool], cl.Kernel] = {}
         device = queue.device
         bytes_each = EDGE_BYTES * max(1, table.longest)
         limits = device.global_mem_size, device.max_mem_alloc_size
@@ -31,14 +31,21 @@ class GpuOutline:
         self._memory = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, bytes_each * self._groups)
 
     def score(
-        self, transforms: cl.Buffer, n: int, prefix: cl.Buffer, n_maps: int, shape: tuple[int, int], out: cl.Buffer
+        self,
+        transforms: cl.Buffer,
+        n: int,
+        prefix: cl.Buffer,
+        n_maps: int,
+        shape: tuple[int, int],
+        out: cl.Buffer,
+        places: cl.Buffer | None = None,
     ) -> None:
-        """Write (n, n_maps) int64 scores to ``out``."""
+        """Write (n, n_maps) int64 scores to ``out``; ``places`` (n,) int32: each one's set of maps in ``prefix``."""
         height, width = shape
         band_rows, stretch = self._layout(width)
-        key = (n_maps, width)
+        key = (n_maps, width, places is not None)
         if key not in self._kernels:
-            self._kernels[key] = self._build(n_maps, band_rows, stretch)
+            self._kernels[key] = self._build(n_maps, band_rows, stretch, placed=places is not None)
         group = band_rows * ROW_ITEMS
         self._kernels[key](
             self._queue,
@@ -55,6 +62,7 @@ class GpuOutline:
             np.int32(self._table.longest),
             zero(self._queue.context),
             cl.LocalMemory(4 * band_rows * ROW_ITEMS * stretch),  # type: ignore[arg-type]  # missing in its stub
+            *(() if places is None else (places,)),
         )
 
     def _layout(self, width: int) -> tuple[int, int]:
@@ -66,7 +74,7 @@ class GpuOutline:
             rows //= 2
         return rows, stretch
 
-    def _build(self, n_maps: int, band_rows: int, stretch: int) -> cl.Kernel:
+    def _build(self, n_maps: int, band_rows: int, stretch: int, placed: bool) -> cl.Kernel:
         sizes = {"MAPS": n_maps, "BAND_ROWS": band_rows, "ROW_ITEMS": ROW_ITEMS, "STRETCH": stretch}
-        options = [f"-D{name}={value}" for name, value in sizes.items()]
+        options = [f"-D{name}={value}" for name, value in sizes.items()] + (["-DPLACED"] if placed else [])
         return cl.Kernel(build(self._queue.context, "outline_gpu.cl", options=options), "score")

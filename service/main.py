@@ -58,8 +58,7 @@ from service.store.postgres import PostgresDatabase
 from service.workers.engine import Engine, Transport
 from service.workers.inspector import Inspector
 from service.workers.limits import DecodeLimits
-from service.workers.pool import ProcessTransport
-from service.workers.process import tracker_program
+from service.workers.transports import open_transport
 
 log = structlog.get_logger(__name__)
 VIEWER = Path(__file__).parent / "viewer"
@@ -69,10 +68,7 @@ HOUSEKEEPING_S = 1.0
 def create_app(settings: Settings, transport: Transport | None = None) -> FastAPI:
     """The application. ``transport`` replaces worker processes with the tracker, started with the application."""
     limits = DecodeLimits.of(settings.model_dump())
-    engine = Engine(
-        transport
-        or ProcessTransport(tracker_program(settings.model_dump()), settings.workers, settings.worker_timeout_s)
-    )
+    engine = Engine(transport or open_transport(settings.model_dump()))
     me = Instance(str(uuid.uuid4()), settings.own_url)
     database = database_of(settings, me.id)
     inspector = Inspector(limits)

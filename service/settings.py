@@ -45,7 +45,10 @@ class Settings(BaseSettings):
     """JSON lines for machines, or text for people."""
 
     workers: Positive = 1
-    """Tracking processes. Sessions are pinned to one by their id."""
+    """Tracking processes. A session stays with one while that has room for its next frame."""
+    batching: Literal["auto", "on", "off"] = "auto"
+    """Whether several tracking processes share a device, which scores what they ask at one time in one launch: `auto`
+    where there is a GPU, `on` anywhere."""
     worker_timeout_s: PositiveSeconds = 120.0
     """A worker that does not answer a job for so long is ended and started anew."""
     worker_start_timeout_s: PositiveSeconds = 120.0

@@ -199,16 +199,26 @@ static int walk_band(const Scratch s, const int band)
 
 // scores (N, maps): the sum of each map, given as prefix sums along its rows (maps, height, width + 1).
 // A particle without room gets LONG_MIN. `next` is zero at the start.
+// With PLACED every particle has maps of its own frame: `prefix` holds many sets of them, `places` (N) says which.
 __kernel void score(
     __global const float *transforms, const int particles, const int parts, __global const floats *blocks,
     __global const int *starts, __global const int2 *lists, const int across, __global const int *prefix,
     const int maps, const int width, const int height, __global long *scores, __global int *memory,
-    const int memory_each, volatile __global int *next)
+    const int memory_each, volatile __global int *next
+#ifdef PLACED
+    , __global const int *places
+#endif
+    )
 {
     const Scratch s = take_scratch(memory + get_global_id(0) * (size_t)memory_each, width, height);
     const size_t map_size = (size_t)height * (width + 1);
     for (int n = atomic_inc(next); n < particles; n = atomic_inc(next)) {
         __global long *score = scores + (size_t)n * maps;
+#ifdef PLACED
+        __global const int *own = prefix + (size_t)places[n] * maps * map_size;
+#else
+        __global const int *own = prefix;
+#endif
         const bool complete = draw_outline(transforms + (size_t)n * parts * 12, parts, blocks, starts, lists, across, s);
         for (int map = 0; map < maps; ++map) score[map] = complete ? 0 : LONG_MIN;
         for (int band = 0; band < bands_of(height); ++band) {
@@ -218,7 +228,7 @@ __kernel void score(
             }
             const int found = walk_band(s, band);
             for (int map = 0; map < maps; ++map) {
-                __global const int *lines = prefix + map * map_size + band * LANES * (width + 1);
+                __global const int *lines = own + map * map_size + band * LANES * (width + 1);
                 long sum = 0;
                 for (int k = 0; k < found; ++k) {
                     const int value = lines[s.found[k] >> 1];

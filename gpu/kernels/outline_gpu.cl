@@ -116,11 +116,16 @@ static void walk_row(
 
 // scores (N, MAPS): the sum of each map, given as prefix sums along its rows (MAPS, height, width + 1). `memory` has
 // room for `memory_each` edges per group, `winding` BAND_ROWS * PITCH numbers. `next` is zero at the start.
+// With PLACED every particle has maps of its own frame: `prefix` holds many sets of them, `places` (N) says which.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void score(
     __global const float *transforms, const int particles, const int parts, __global const float *blocks,
     __global const int *starts, __global const int2 *lists, const int across, __global const int *prefix,
     const int width, const int height, __global long *scores, __global float4 *memory, const int memory_each,
-    volatile __global int *next, volatile __local int *winding)
+    volatile __global int *next, volatile __local int *winding
+#ifdef PLACED
+    , __global const int *places
+#endif
+    )
 {
     __global float4 *chosen = memory + get_group_id(0) * (size_t)memory_each;
     __local int count, particle;
@@ -139,13 +144,18 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void score(
         if (n >= particles) break;
         choose_edges(transforms + (size_t)n * parts * 12, parts, blocks, starts, lists, across, height, chosen, &count);
         barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+#ifdef PLACED
+        __global const int *own = prefix + (size_t)places[n] * MAPS * map_size;
+#else
+        __global const int *own = prefix;
+#endif
         long sums[MAPS];
         for (int map = 0; map < MAPS; ++map) sums[map] = 0;
         for (int band = 0; band < height; band += BAND_ROWS) {
             cross_rows(chosen, count, band, width, winding);
             barrier(CLK_LOCAL_MEM_FENCE);
             const bool inside_map = band + me / ROW_ITEMS < height;
-            walk_row(winding, stretches, prefix + (size_t)band * (width + 1), map_size, width, inside_map, sums);
+            walk_row(winding, stretches, own + (size_t)band * (width + 1), map_size, width, inside_map, sums);
             barrier(CLK_LOCAL_MEM_FENCE);
         }
         for (int map = 0; map < MAPS; ++map) {

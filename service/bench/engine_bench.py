@@ -31,7 +31,7 @@ from service.workers.base import BackgroundJob, FrameJob, ModelJob, PackedFrameR
 from service.workers.child_process import Program
 from service.workers.engine import Engine, Transport
 from service.workers.limits import DecodeLimits
-from service.workers.pool import ProcessTransport
+from service.workers.pool import Batching, ProcessTransport
 from service.workers.process import TRACKER
 from service.workers.tracker import Tracker
 
@@ -147,40 +147,41 @@ async def bench_engines(
 ) -> list[EngineRow]:
     """A row for each. Raises ``AssertionError`` unless all give every session the same state, bit for bit."""
     traffic = Traffic(plan)
-    engines = {one.name: Engine(one.transport()) for one in contestants}
-    rates: dict[str, list[float]] = {name: [] for name in engines}
-    times: dict[str, list[float]] = {name: [] for name in engines}
+    engines = {one: Engine(one.transport()) for one in contestants}
+    rates: dict[Contestant, list[float]] = {one: [] for one in engines}
+    times: dict[Contestant, list[float]] = {one: [] for one in engines}
     expected: list[bytes | None] | None = None
     try:
         for one in contestants:
-            await engines[one.name].transport.start()
+            await engines[one].transport.start()
             tell(f"{one.name}: warming up")
-            await traffic.warm_up(engines[one.name])
+            await traffic.warm_up(engines[one])
         for number in range(plan.rounds):
             for one in contestants:
                 # Every worker must have seen the model; the first round of all is thrown away for that.
-                rate, seconds, states = await traffic.round(engines[one.name], one.one_by_one)
+                rate, seconds, states = await traffic.round(engines[one], one.one_by_one)
                 expected = expected or states
                 assert states == expected, f"{one.name} gives other answers"
                 if number > 0:
-                    rates[one.name].append(rate)
-                    times[one.name] += seconds
+                    rates[one].append(rate)
+                    times[one] += seconds
             tell(f"round {number} of {plan.rounds - 1}")
     finally:
         for engine in engines.values():
             await engine.transport.close()
-    return [_row(one, plan, rates[one.name], times[one.name]) for one in contestants]
+    return [_row(one, plan, rates[one], times[one]) for one in contestants]
 
 
 def process_contestants(workers: Sequence[int]) -> list[Contestant]:
     """One worker with one session after the other, and each number of workers with all of them at once."""
 
-    def processes(count: int) -> ProcessTransport:
-        program = Program(TRACKER, (DecodeLimits(),), start_timeout_s=TIMEOUT_S)
-        return ProcessTransport(program, count, TIMEOUT_S)
+    def processes(count: int, batching: Batching) -> ProcessTransport:
+        program = Program(TRACKER, (DecodeLimits(), None), start_timeout_s=TIMEOUT_S)
+        return ProcessTransport(program, count, TIMEOUT_S, batching)
 
-    at_once = [Contestant(f"processes, {n}", n, partial(processes, n)) for n in workers]
-    return [Contestant("one by one", 1, partial(processes, 1), one_by_one=True), *at_once]
+    at_once = [Contestant("processes", n, partial(processes, n, "off")) for n in workers]
+    batched = [Contestant("batching", n, partial(processes, n, "on")) for n in workers if n > 1]
+    return [Contestant("one by one", 1, partial(processes, 1, "off"), one_by_one=True), *at_once, *batched]
 
 
 def engines_table(rows: Sequence[EngineRow]) -> Table:

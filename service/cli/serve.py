@@ -34,15 +34,13 @@ def run(settings: Settings, worker: str | None = None) -> None:
     """Serve until SIGINT or SIGTERM, then finish the frames in hand. ``worker`` names another than the tracker."""
     from service.cli import logs
     from service.errors import SkyposeError
-    from service.workers.pool import ProcessTransport
-    from service.workers.process import tracker_program
+    from service.workers.transports import open_transport
 
     gc.disable()  # until ``settle``: a collection in the middle of the imports finds nothing and takes its time
     logs.configure(settings.log_level, settings.log_format)
     if settings.needs_credential:
         refuse_open_door(settings)
-    program = tracker_program(settings.model_dump(), worker)
-    transport = ProcessTransport(program, settings.workers, settings.worker_timeout_s)
+    transport = open_transport(settings.model_dump(), worker)
     transport.prestart()  # its imports take as long as ours below: side by side they take half
     from service.main import create_app
 

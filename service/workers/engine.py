@@ -43,6 +43,9 @@ class Transport(Protocol):
     def processes(self) -> Sequence[Mapping[str, Any]]:
         """The worker processes, for operators."""
 
+    def prestart(self) -> None:
+        """Begin to bring the workers up, without waiting."""
+
     async def start(self) -> None:
         """Bring the workers up."""
 

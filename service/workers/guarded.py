@@ -7,15 +7,16 @@ from pathlib import Path
 from gpu.kernel_cache import KernelCache
 from service.workers.decode_process import DecodeProcess
 from service.workers.limits import DecodeLimits
+from service.workers.shared_scorer import open_shared
 from service.workers.tracker import Tracker
 from service.workers.warm_up import build_kernels
 
 
-def guarded(limits: DecodeLimits, kernels: Path | None = None) -> Tracker:
+def guarded(limits: DecodeLimits, kernels: Path | None = None, device: str | None = None) -> Tracker:
     """A tracker that is ready for its first frame.
 
-    What clients send is decoded in a process of its own; built kernels are kept in the folder
-    ``kernels`` if there is one.
+    What clients send is decoded in a process of its own; built kernels are kept in the folder ``kernels`` if there is
+    one. ``device`` is the address of a device's owner that scores for several workers.
     """
     decoder = DecodeProcess(limits)
     decoder.prestart()
@@ -25,4 +26,4 @@ def guarded(limits: DecodeLimits, kernels: Path | None = None) -> Tracker:
     build_kernels()
     if cache is not None:
         cache.keep()
-    return Tracker(decoder, kernels=cache)
+    return Tracker(decoder, kernels=cache, opener=None if device is None else open_shared(device))

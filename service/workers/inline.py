@@ -30,6 +30,9 @@ class InlineTransport:
         """None: jobs run in this process."""
         return ()
 
+    def prestart(self) -> None:
+        """There is nothing to begin early."""
+
     async def start(self) -> None:
         """Build the worker."""
         self._worker = await asyncio.get_running_loop().run_in_executor(self._thread, self._factory)

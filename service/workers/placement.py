@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 KNOWN_MODELS = 8  # of a worker: as many as its cache holds
 KNOWN_SESSIONS = 100_000
-UNKNOWN_MODEL = 4  # jobs that could be done in the time that preparing a model takes
+UNKNOWN_MODEL = 1  # jobs: preparing a model is worth it for every worker that would have nothing to do
 BUSIER = 2  # jobs more than elsewhere, for which a session leaves a worker where others are busy too
 
 

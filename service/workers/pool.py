@@ -5,13 +5,17 @@ from __future__ import annotations
 import asyncio
 import os
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 from service.workers.base import PackedFrameJob
 from service.workers.child_process import Program
+from service.workers.device_process import DeviceProcess
 from service.workers.placement import Placement
 from service.workers.process import WorkerProcess
 from service.workers.spare import Spare
+
+Batching = Literal["auto", "on", "off"]
+"""Whether workers of this machine share a device: ``auto`` a GPU, ``on`` any."""
 
 
 class ProcessTransport:
@@ -21,7 +25,12 @@ class ProcessTransport:
     whichever is lost.
     """
 
-    def __init__(self, program: Program, workers: int, timeout_s: float) -> None:
+    def __init__(self, program: Program, workers: int, timeout_s: float, batching: Batching = "off") -> None:
+        """With batching the address of the device's owner is one more argument of the program's factory."""
+        self._device: DeviceProcess | None = None
+        if batching != "off" and workers > 1:
+            self._device = DeviceProcess(batching == "on", program.nice)
+            program = replace(program, arguments=(*program.arguments, self._device.address))
         shared = replace(program, threads=max(1, len(os.sched_getaffinity(0)) // workers))
         self._spare = Spare(shared)
         names = [*(f"track-{n}" for n in range(workers)), "side"]
@@ -31,6 +40,8 @@ class ProcessTransport:
 
     def prestart(self) -> None:
         """Begin to bring the tracking processes up, beside whatever else the program does to start."""
+        if self._device is not None:
+            self._device.start()
         for worker in self.workers:
             worker.prestart()
 
@@ -46,13 +57,18 @@ class ProcessTransport:
 
     def processes(self) -> list[dict[str, Any]]:
         """The worker processes, for operators."""
-        return [
+        found: list[dict[str, Any]] = [
             {"name": worker.name, "pid": worker.pid, "ready": worker.ready, "restarts": worker.restarts}
             for worker in (*self.workers, self.side)
         ]
+        if self._device is not None and self._device.shared:
+            found.append(self._device.describe())
+        return found
 
     async def start(self) -> None:
         """Bring the tracking processes up. A spare follows, which is the one beside them once that is needed."""
+        if self._device is not None:
+            self._device.start()
         await asyncio.gather(*(worker.start() for worker in self.workers))
         self._spare.fill()
 
@@ -74,6 +90,8 @@ class ProcessTransport:
         """Finish what is in hand and end every process."""
         await asyncio.gather(*(worker.close() for worker in (*self.workers, self.side)))
         await asyncio.to_thread(self._spare.close)
+        if self._device is not None:
+            await asyncio.to_thread(self._device.close)
 
 
 def model_of(job: object) -> str | None:

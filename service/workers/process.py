@@ -28,7 +28,7 @@ def tracker_program(settings: Mapping[str, Any], factory: str | None = None) -> 
     kernels = settings["data_dir"] / "kernels"
     arguments = (DecodeLimits.of(settings), kernels) if factory is None else ()
     nice, start_timeout_s = settings["worker_nice"], settings["worker_start_timeout_s"]
-    return Program(factory or TRACKER, arguments, nice, start_timeout_s)
+    return Program(factory or TRACKER, arguments, nice, start_timeout_s=start_timeout_s)
 
 
 class WorkerProcess:

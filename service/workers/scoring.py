@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from gpu.auto import AutoScorer
 from gpu.errors import DeviceError, DeviceLostError, ImageSizeError, ScorerError
 from gpu.mesh import Mesh
-from gpu.scorer import Scorer, open_scorer
+from gpu.scorer import Scorer
 from service.errors import BackendMissingError, ScorerFailedError, TooLargeError
 from service.inference.articulation import Articulation, part_transforms
 from service.inference.state import Array, Poses
 from service.workers.cache import Cache
+from service.workers.shared_scorer import MOST_PARTICLES, Opener, open_alone
 
 TRANSFORMS_BYTES = 16 << 20  # of one call's transforms, so that a million particles need no gigabyte for theirs
 TRANSFORM_BYTES = 48  # of one part
@@ -30,24 +31,30 @@ class Scorers:
     device that had failed once may be well again. Neither changes an answer: all that it uses give the same bits.
     """
 
-    def __init__(self, size: int, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, size: int, clock: Callable[[], float] = time.monotonic, opener: Opener | None = None) -> None:
+        """``opener`` opens the scorers of sessions whose particles do not fill a device."""
         self._kept: Cache[Scorer] = Cache(size, lambda scorer: scorer.close())
         self._clock = clock
+        self._opener = opener
         self._reopen_at: dict[str, float] = {}
 
     @contextmanager
-    def lend(self, model: str, backend: str, mesh: Mesh) -> Iterator[Scorer]:
-        """The scorer of a model. One that fails is not lent again: the next frame opens another.
+    def lend(self, model: str, backend: str, mesh: Mesh, particles: int) -> Iterator[Scorer]:
+        """The scorer of a model, for a session of so many particles.
+
+        One that fails is not lent again: the next frame opens another.
 
         Raises ``BackendMissingError`` where this machine does not have the backend, ``ScorerFailedError`` where it
         failed during the frame, ``TooLargeError`` where the image is larger than it can take.
         """
-        key = f"{model}:{backend}"
+        shares = self._opener is not None and particles < MOST_PARTICLES
+        key = f"{model}:{backend}:{'shared' if shares else 'alone'}"
         if self._clock() >= self._reopen_at.get(key, np.inf):
             del self._reopen_at[key]
             self._kept.forget(key)
         try:
-            scorer = self._kept.get(key, lambda: open_scorer(mesh, backend=backend))
+            open_one = self._opener if shares and self._opener else open_alone
+            scorer = self._kept.get(key, lambda: open_one(model, backend, mesh))
         except DeviceError as error:
             raise BackendMissingError(str(error), field="filter.backend", backend=backend) from error
         try:

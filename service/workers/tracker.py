@@ -60,6 +60,7 @@ from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
 from service.workers.restoring import check_restored
 from service.workers.scoring import Scorers, TimedScorer
+from service.workers.shared_scorer import Opener
 from service.workers.smoothing import belief_after, smooth_pass, with_rates
 from service.workers.splitting import SplitJob
 
@@ -79,12 +80,17 @@ class Tracker:
     """Implements ``service.workers.base.Worker``."""
 
     def __init__(
-        self, decoder: Decoder | None = None, *, cached_models: int = 8, kernels: KernelCache | None = None
+        self,
+        decoder: Decoder | None = None,
+        *,
+        cached_models: int = 8,
+        kernels: KernelCache | None = None,
+        opener: Opener | None = None,
     ) -> None:
         self._decoder = decoder or InPlace()
         self._kernels = kernels
         self._meshes: Cache[Mesh] = Cache(cached_models)
-        self._scorers = Scorers(cached_models)
+        self._scorers = Scorers(cached_models, opener=opener)
         self._steps = ResidentSteps(cached_models)
         self._skies: Cache[Sky] = Cache(cached_models)
         self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
@@ -155,8 +161,9 @@ class Tracker:
             lambda: held_symmetries(job.twins, job.articulation, articulation),
         )
         frame = Frame(job.frame_index, job.time_s, Measurement(maps.log_ratio, maps.log_background))
-        stream = np.array([job.config.filter.seed, job.frame_index], np.uint64)
-        with self._scorers.lend(job.model, job.config.filter.backend, mesh) as scorer:
+        chosen = job.config.filter
+        stream = np.array([chosen.seed, job.frame_index], np.uint64)
+        with self._scorers.lend(job.model, chosen.backend, mesh, chosen.particles) as scorer:
             timed, rng = TimedScorer(scorer, articulation), np.random.Generator(np.random.Philox(key=stream))
             resident = self._steps.of(scorer, job.config, domain)
             state, estimate = step(rng, job.state, frame, timed, job.config, domain, twins, resident)

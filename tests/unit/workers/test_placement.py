@@ -33,9 +33,10 @@ def test_idle_worker_takes_over_from_a_busy_one():
     assert placement.load(first) > 1
 
 
-def test_model_that_must_be_prepared_first_counts_as_waiting():
+def test_sessions_of_a_model_share_a_worker_only_while_it_has_nothing_to_do():
     placement = Placement(["a", "b"])
-    assert placement.take("s", "m") == placement.take("t", "m") == "a"
+    placement.done(placement.take("s", "m"))
+    assert [placement.take(name, "m") for name in "tu"] == ["a", "b"]
 
 
 def test_new_model_goes_where_fewest_are_kept():
