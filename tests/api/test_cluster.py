@@ -119,6 +119,16 @@ async def test_an_owner_that_was_overtaken_hands_the_frame_on(pair):
     assert resident(two) == {session_id}
 
 
+async def test_an_idle_session_is_given_up(pair):
+    one, two = await pair(session_idle_s=1e-6)
+    session_id = await one.ready_session()
+    await one.post(session_id, 0)
+    database = one.app.state.services.archive.database
+    while await database.read(instances.owner, session_id) is not None:
+        await asyncio.sleep(0)  # until housekeeping has let it go
+    assert (await two.post(session_id, 1)).json()["index"] == 1
+
+
 async def test_nobody_listens_where_the_owner_was(pair):
     one, two = await pair()
     session_id = await one.ready_session()
