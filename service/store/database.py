@@ -55,7 +55,7 @@ class Database(ABC):
 
         ``beside``: for a command next to a service that may be running. Raises ``StorageError``.
         """
-        await asyncio.get_running_loop().run_in_executor(self._write_threads, self._open, beside)
+        await self._run(self._write_threads, lambda: self._open(beside))
 
     async def write(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
         """Run ``function(connection, ...)`` in a writing thread as one transaction.
