@@ -13,6 +13,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.access.audit import Entry
+from service.access.peers import FORWARDED
 from service.access.principal import Principal
 from service.api.auth import PRINCIPAL
 from service.api.services import Services, services_of
@@ -85,14 +86,15 @@ def _mark(headers: MutableHeaders, policy: str, *, private: bool) -> None:
 
 def _audit(services: Services, scope: Scope, status: int) -> None:
     route = getattr(scope.get("route"), "path", "")
-    if not route.startswith(("/v1/", "/metrics")):
+    state = scope.get("state", {})
+    if not route.startswith(("/v1/", "/metrics")) or state.get(FORWARDED):  # that is noted where the call came in
         return
     method = scope.get("method", "WS")
     reads = method in ("GET", "HEAD", "OPTIONS", "WS")
     changes = not reads and not route.endswith(_NOT_AUDITED)
     if not (changes or status in _CREDENTIAL_STATUSES or (reads and route.endswith(_AUDITED_READS))):
         return
-    caller: Principal | None = scope.get("state", {}).get(PRINCIPAL)
+    caller: Principal | None = state.get(PRINCIPAL)
     services.audit.note(
         Entry(
             tenant="default" if caller is None else caller.tenant,

@@ -178,6 +178,12 @@ async def test_access_is_decided_where_the_call_comes_in(pair, tmp_path):
             answer = await anybody.put(path, content=image(1), headers={**PNG, "X-Skypose-Peer": token})
             assert (answer.status_code, status) == (status, status), answer.text
     assert (await two.put(session_id, 1, 1)).json()["index"] == 1
+    # A call that is handed on is one entry of the audit log.
+    assert (await two.http.post(f"/v1/sessions/{session_id}/move")).status_code == 200
+    for api in (one, two):
+        await api.app.state.services.audit.store()
+    entries = (await one.http.get("/v1/audit")).json()["entries"]
+    assert [entry["action"].rpartition("/")[2] for entry in entries].count("move") == 1
 
 
 def test_the_target_is_the_path_as_it_came():
