@@ -26,6 +26,8 @@ KEY = "a" * 64
 START_LIMIT_S = 60.0
 FRAMES = 6
 
+pytestmark = pytest.mark.skipif(shutil.which("caddy") is None, reason="caddy is not installed")
+
 
 @pytest.fixture(scope="module")
 def database_url(postgres: Postgres) -> str:
@@ -36,8 +38,6 @@ def database_url(postgres: Postgres) -> str:
 @pytest.fixture(scope="module")
 def processes(tmp_path_factory: pytest.TempPathFactory, database_url: str) -> Iterator[list[Server]]:
     """Two of them, which know a key."""
-    if shutil.which("caddy") is None:
-        pytest.skip("caddy is not installed")
     folder = tmp_path_factory.mktemp("processes")
     (folder / "admin_key").write_text(KEY)
     settings = {
