@@ -99,26 +99,47 @@ def histogram_log_ratio(bins: NDArray[np.intp], sky: Sky) -> NDArray[np.float32]
 
 
 def sky_residual(image: NDArray[np.generic], sky: Sky) -> NDArray[np.float32]:
-    """(H, W, C) frame minus sky, the frame's own change of level taken out.
+    """(H, W, C) frame minus sky, the frame's own change of level and gradient taken out.
 
-    The level is the median of the pixels that look like sky: a large object, or what a wide point spread carries
-    out of it, would lift the median of the whole image.
+    A plane is fitted to the pixels that look like sky, about their median at first: a large object, or what a wide
+    point spread carries out of it, would lift that of the whole image.
     """
     frame = (image[..., None] if image.ndim == 2 else image).astype(np.float32)
     residual = frame - sky.mean
-    every = max(1, int(np.sqrt(residual[..., 0].size / _LEVEL_SAMPLE)))  # a sample tells the level well enough
+    height, width = residual.shape[:2]
+    every = max(1, int(np.sqrt(height * width / _LEVEL_SAMPLE)))  # a sample tells the level well enough
     some = residual[::every, ::every]
-    level = np.median(some, axis=(0, 1))
+    y, x = np.mgrid[0:height:every, 0:width:every].astype(np.float32)
+    x, y = 2 * x / max(1, width - 1) - 1, 2 * y / max(1, height - 1) - 1
+    change = np.zeros((3, residual.shape[2]), np.float32)  # level, and gradients along x and y
+    change[0] = np.median(some, axis=(0, 1))
     for _ in range(_LEVEL_ROUNDS):
-        near = np.all(np.abs(some - level) < 3 * sky.sigma, axis=2)
+        plane = change[0] + x[..., None] * change[1] + y[..., None] * change[2]
+        near = np.all(np.abs(some - plane) < 3 * sky.sigma, axis=2)
         if np.count_nonzero(near) < _LEVEL_PIXELS:
             break
-        new = np.median(some[near], axis=0)
-        settled = bool(np.all(np.abs(new - level) < 0.02 * sky.sigma))
-        level = new
-        if settled:
+        left = some[near] - plane[near]
+        step = _plane(x[near], y[near], left) if _wide(x[near], y[near]) else np.zeros_like(change)
+        step[0] += np.median(left - step[0] - x[near][:, None] * step[1] - y[near][:, None] * step[2], axis=0)
+        change = change + step
+        if bool(np.all(np.abs(step) < 0.02 * sky.sigma)):
             break
-    return np.asarray(residual - level, dtype=np.float32)
+    columns, rows = np.linspace(-1, 1, width, dtype=np.float32), np.linspace(-1, 1, height, dtype=np.float32)
+    residual -= change[0] + columns[:, None] * change[1]
+    residual -= rows[:, None, None] * change[2]
+    return residual
+
+
+def _wide(x: NDArray[np.float32], y: NDArray[np.float32]) -> bool:
+    """Whether pixels lie in all quarters of the image, so that a gradient can be told."""
+    quarters = np.bincount(2 * (y > 0) + (x > 0), minlength=4)
+    return bool(np.all(quarters >= _LEVEL_PIXELS))
+
+
+def _plane(x: NDArray[np.float32], y: NDArray[np.float32], values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(3, C) least-squares coefficients of 1, x and y for ``values`` (M, C)."""
+    basis = np.stack([np.ones_like(x), x, y]).astype(np.float64)
+    return np.asarray(np.linalg.solve(basis @ basis.T, basis @ values), dtype=np.float32)
 
 
 def contrast(residual: NDArray[np.float32], sky: Sky, smooth_px: float) -> NDArray[np.float32]:

@@ -26,11 +26,12 @@ _POSITION_JITTER = 0.04  # of the evidence's extent
 
 @dataclass(frozen=True)
 class Evidence:
-    """The light that may be the object: its area, centroid and root-mean-square radius."""
+    """The light that may be the object: its area, centroid and root-mean-square radius, and the sum of its map."""
 
     area_px: float
     centroid: Array  # (2,)
     radius_px: float
+    light_nats: float = 0.0
 
 
 def find_evidence(log_ratio: Map) -> Evidence | None:
@@ -49,7 +50,7 @@ def find_evidence(log_ratio: Map) -> Evidence | None:
     y, x = np.nonzero(np.concatenate([[False], kept])[labels])
     centroid = np.array([x.mean() + 0.5, y.mean() + 0.5])
     radius = float(np.sqrt(np.mean((x + 0.5 - centroid[0]) ** 2 + (y + 0.5 - centroid[1]) ** 2)))
-    return Evidence(float(len(x)), centroid, max(radius, 0.5))
+    return Evidence(float(len(x)), centroid, max(radius, 0.5), float(np.sum(log_ratio[y, x], dtype=np.float64)))
 
 
 def draw_joints(rng: np.random.Generator, domain: Domain, count: int) -> Array:

@@ -57,7 +57,7 @@ def strew(update: Update, islands: Islands) -> Draws:
 def run(update: Update, population: Population, deviation: Array, moves: int) -> tuple[Population, float]:
     """Temper a population onto this frame's likelihood."""
     chosen = update.config.filter
-    exponent = update.config.likelihood.exponent
+    exponent = update.exponent()
     plan = Tempering(exponent, chosen.target_ess, moves, chosen.resampler, deviation, update.metric)
     result, log_evidence, _ = temper(
         update.rng, population, update.score, update.domain.contains, plan, chosen.particles

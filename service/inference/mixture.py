@@ -26,6 +26,7 @@ Score = Callable[[Poses], Array]
 ROUND_DRAWS = 150
 MOST_ROUNDS = 10  # of tempering before and after a climb
 CLIMB_ROUNDS = 12
+MOST_CLIMBS = 3
 ROUND_ESS = 0.25  # of a round's draws
 INFLATION = 1.3  # of the proposal's covariance, so that its tails are not lighter than the target's
 TAIL = 8.0  # degrees of freedom of the last draws' Student t
@@ -54,7 +55,6 @@ class Draws:
     log_likelihood: Array
     log_weights: Array  # (N,) not normalised: their sum is the evidence
     memory: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)  # what the next frame should know
-    reference: float | None = None  # log likelihood to which modes were evened out
 
 
 def join(a: Draws, b: Draws) -> Draws:
@@ -65,7 +65,6 @@ def join(a: Draws, b: Draws) -> Draws:
         np.concatenate([a.log_likelihood, b.log_likelihood]),
         np.concatenate([a.log_weights, b.log_weights]),
         a.memory,
-        a.reference,
     )
 
 
@@ -125,13 +124,16 @@ def adapt(rng: np.random.Generator, part: Component, score: Score, exponent: flo
     """Move the proposal from the prediction onto the posterior.
 
     Where tempering comes to a halt, because nearly all of the prediction scores alike and the peak is a needle in it,
-    the best draws of some rounds lead to the peak by their ranks alone (a cross-entropy search), and it starts anew.
+    the best draws of some rounds lead to the peak by their ranks alone (a cross-entropy search), and it starts anew;
+    again where that was not near enough.
     """
     prior = prediction(part)
     adapted, done = temper_proposal(rng, part, score, exponent, prior)
-    if not done:
+    for _ in range(MOST_CLIMBS):
+        if done:
+            break
         proposal = climb(rng, part, score, exponent, adapted.proposal)
-        adapted, _ = temper_proposal(rng, part, score, exponent, proposal)
+        adapted, done = temper_proposal(rng, part, score, exponent, proposal)
     return adapted
 
 
@@ -242,19 +244,17 @@ def posterior(
     exponent: float,
     count: int,
     between: float | None = None,
-    reference: float | None = None,
 ) -> Draws:
     """``count`` weighted particles over all modes, shared out by the modes' evidence.
 
     Within a mode the likelihood counts with the power ``exponent``, from mode to mode with ``between`` (the same by
-    default): nearby poses share what the model gets wrong, shadow and glare, and far ones do not. With a mode's peak
-    L_k and ``reference`` L_0 (by default the highest peak) a pose has the weight (L / L_k)^exponent (L_k / L_0)^between
-    L_0^exponent.
+    default): nearby poses share what the model gets wrong, shadow and glare, and far ones do not. Under a mode's peak
+    L_k a pose has the weight (L / L_k)^exponent L_k^between. So the evidence counts by ``between`` too, and can be held
+    against that of another model whatever exponent each was found with.
     """
     adapted = [adapt(rng, part, score, exponent) for part in parts]
     peaks = np.array([a.peak for a in adapted])
-    reference = float(peaks.max()) if reference is None else reference
-    even = (exponent - (exponent if between is None else between)) * (reference - peaks)
+    even = ((exponent if between is None else between) - exponent) * peaks
     log_shares = even + [part.log_weight + a.log_evidence for part, a in zip(parts, adapted, strict=True)]
     counts = share_out(np.exp(log_shares - log_sum_exp(log_shares)), count)
     draws = [
@@ -268,7 +268,6 @@ def posterior(
         np.concatenate([d.log_likelihood for d in draws]),
         np.concatenate([d.log_weights for d in draws]),
         {"surprise": surprise_of(parts, adapted, log_shares)},
-        reference,
     )
 
 

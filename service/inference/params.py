@@ -80,12 +80,16 @@ class LikelihoodParams:
     """What is measured in each pixel; `auto` takes colour where the frames have it."""
     gradient_sigma_px: float = 1.0
     """Scale of the derivative image for `gradient`."""
-    exponent: float = 0.07
-    """Power of the likelihood: neighbouring pixels are not independent. 1 is the paper's product over pixels."""
-    mode_exponent: float = 0.03
-    """`importance`: the same from one mode to another, where it is less than `exponent`. Nearby poses share what the
-    map gets wrong about shadow and glare; far ones do not, and no frame alone may decide between them."""
-    covered_empty_nats: float = 1.0
+    exponent: float = 0.13
+    """Power of the likelihood of a perfect fit: neighbouring pixels are not independent. 1 is the paper's product over
+    pixels."""
+    misfit_nats: float = 4.3
+    """The power falls with what the best silhouette leaves unexplained, lately: to one half where that is so much per
+    pixel of the object's radius. Not for `bootstrap`."""
+    mode_exponent: float = 0.05
+    """`importance`: power of the likelihood from one mode to another, and from one model to another. Nearby poses share
+    what the map gets wrong about shadow and glare; far ones do not, and no frame alone may decide between them."""
+    covered_empty_nats: float = 0.5
     """`contrast`: price of one pixel of background under the silhouette."""
     uncovered_bright_nats: float = 3.0
     """`contrast`: price of one pixel of light left outside of the silhouette."""
@@ -93,6 +97,7 @@ class LikelihoodParams:
     def __post_init__(self) -> None:
         _require(0.1 <= self.gradient_sigma_px <= 50, "gradient_sigma_px must be between 0.1 and 50")
         _require(0 < self.exponent <= 1, "exponent must lie in (0, 1]")
+        _require(1e-3 <= self.misfit_nats <= 1e9, "misfit_nats must be between 0.001 and 1e9")
         _require(0 < self.mode_exponent <= 1, "mode_exponent must lie in (0, 1]")
         _require(0 < self.covered_empty_nats <= 100, "covered_empty_nats must lie in (0, 100]")
         _require(0 < self.uncovered_bright_nats <= 100, "uncovered_bright_nats must lie in (0, 100]")

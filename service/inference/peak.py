@@ -40,7 +40,7 @@ def likeliest_twin(update: Update, draws: Draws) -> Draws:
     """
     if not update.twins:
         return draws
-    exponent = update.config.likelihood.exponent
+    exponent = update.config.likelihood.mode_exponent
     sides = [draws, *(_through(update, draws, symmetry) for symmetry in update.twins)]
     tops = [int(np.argmax(side.log_likelihood)) for side in sides]
     rounds, per_round = BEST_FIT_ROUNDS, BEST_FIT_DRAWS
@@ -54,7 +54,7 @@ def _through(update: Update, draws: Draws, symmetry: Symmetry) -> Draws:
     """The twins of the particles, weighed by what the frame says of them."""
     poses = update.domain.wrap(twin(draws.poses, symmetry))
     log_likelihood = update.score(poses)
-    gain = update.config.likelihood.exponent * (log_likelihood - draws.log_likelihood)
+    gain = update.exponent() * (log_likelihood - draws.log_likelihood)
     rates = twin_rates(draws.rates, symmetry)
     return replace(draws, poses=poses, rates=rates, log_likelihood=log_likelihood, log_weights=draws.log_weights + gain)
 

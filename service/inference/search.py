@@ -37,7 +37,7 @@ def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = No
     near = islands.best[top : top + 1] if anchor is None else anchor
     folded, _ = fold(islands.best, np.zeros((len(islands), domain.n_tangent)), update.twins, domain, near)
     islands = strongest(Islands(folded, islands.log_likelihood, islands.mean, islands.covariance), metric, len(islands))
-    exponent = min(update.config.likelihood.exponent, update.config.likelihood.mode_exponent)
+    exponent = update.config.likelihood.mode_exponent
     in_play = exponent * (islands.log_likelihood - islands.log_likelihood.max()) > -IN_PLAY_NATS
     return islands[np.flatnonzero(in_play)]
 

@@ -29,7 +29,6 @@ SUPPORT_FLOOR = 0.3  # share of the frame's light that the best silhouette must 
 SUPPORT_DROP = 0.6  # of the track's own usual support; below it the whole space is searched again
 FADE = 0.85  # of the running averages, per frame
 RENEW_FRAMES = 10  # a track is held against a search of the whole space this often
-BETWEEN = 0.07
 NEWCOMER = 0.01  # prior weight of what a renewed search finds beside a track
 
 
@@ -62,22 +61,22 @@ def track(
         draws = likeliest_twin(update, search(update, evidence, draws, glance))
     if float(np.max(draws.log_likelihood)) <= 0.0:
         return unseen(update)
-    return conclude(update, draws)
+    return conclude(update, draws, evidence)
 
 
 def follow(update: Update) -> Draws:
     """Carry every mode on by its rates and weigh it by the frame."""
     if update.config.filter.method == "tempered":
         return follow_by_moves(update)
-    draws = mixture_posterior(update, predicted_components(update))
+    draws = mixture_posterior(update, predicted_components(update), update.exponent())
     seen = FADE * update.recall("surprise", 1.0) + (1 - FADE) * np.asarray(draws.memory["surprise"], np.float64)
     return replace(draws, memory={"surprise": np.asarray(seen)})
 
 
-def mixture_posterior(update: Update, parts: list[Component], reference: float | None = None) -> Draws:
+def mixture_posterior(update: Update, parts: list[Component], exponent: float) -> Draws:
     """Weighted particles of the modes ``parts`` under this frame."""
-    likelihood, count = update.config.likelihood, update.config.filter.particles
-    return posterior(update.rng, parts, update.score, likelihood.exponent, count, BETWEEN, reference)
+    between, count = update.config.likelihood.mode_exponent, update.config.filter.particles
+    return posterior(update.rng, parts, update.score, exponent, count, between)
 
 
 def predicted_components(update: Update) -> list[Component]:
@@ -114,15 +113,15 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None, glance: bo
         if update.config.filter.method == "tempered":
             return strew(update, islands)
         parts = island_components(update, islands, log_occam(update, len(islands)))
-        return replace(mixture_posterior(update, parts), memory={})
+        exponent = update.exponent(update.misfit(evidence, islands.best, islands.log_likelihood))
+        return replace(mixture_posterior(update, parts, exponent), memory={})
     away = distance(islands.best, tracked.poses[top : top + 1], update.metric) > 1.0
     if not np.any(away):
         return tracked
     elsewhere = islands[np.flatnonzero(away)]
     even = even_start(update)
-    found = mixture_posterior(
-        update, island_components(update, elsewhere, float(np.log(NEWCOMER)) + even), tracked.reference
-    )
+    newcomers = island_components(update, elsewhere, float(np.log(NEWCOMER)) + even)
+    found = mixture_posterior(update, newcomers, update.exponent())
     both = join(tracked, found)
     pick = RESAMPLERS[update.config.filter.resampler](
         update.rng, normalise(both.log_weights)[0], update.config.filter.particles
@@ -134,7 +133,7 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None, glance: bo
     )
     total = float(np.logaddexp(known, new)) - float(np.log(len(pick)))
     equal = np.full(len(pick), total)
-    return Draws(both.poses[pick], both.rates[pick], both.log_likelihood[pick], equal, reference=tracked.reference)
+    return Draws(both.poses[pick], both.rates[pick], both.log_likelihood[pick], equal)
 
 
 def even_start(update: Update) -> float:
@@ -184,13 +183,15 @@ def unseen(update: Update) -> Outcome:
     return Outcome(poses, log_weights, update.score(poses), rates, "no_target", 0.0, memory)
 
 
-def conclude(update: Update, draws: Draws) -> Outcome:
+def conclude(update: Update, draws: Draws, evidence: Evidence) -> Outcome:
     """Status and memory after the frame."""
     memory: dict[str, NDArray[np.generic]] = {} if update.state is None else dict(update.state.memory)
     memory.update(draws.memory)
     fit = support(update, draws)
     lost = fit < SUPPORT_FLOOR
     before = float(update.recall("age", 0.0))
+    left = update.misfit(evidence, draws.poses, draws.log_likelihood)
+    memory["misfit"] = np.array(FADE * float(update.recall("misfit", left)) + (1 - FADE) * left)
     memory["age"] = np.array(0.0 if lost else before + 1)
     memory["support"] = np.array(FADE * float(update.recall("support", fit)) + (1 - FADE) * fit)
     status = "lost" if lost else "tracking" if before + 1 >= ESTABLISHED_FRAMES else "acquiring"

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from service.inference.acquisition import Evidence
 from service.inference.domain import Domain
 from service.inference.modes import Metric, metric_of
 from service.inference.motion import RateFilter, rate_filter
@@ -70,6 +71,23 @@ class Update:
         if self.state is not None and "rate_variance" in self.state.memory:
             known = self.recall("rate_variance", 0.0)
         return rate_filter(self.config.motion, self.domain, known)
+
+    def misfit(self, evidence: Evidence, poses: Poses, log_likelihood: Array) -> float:
+        """What the best of the silhouettes leaves unexplained of the light and covers in vain: nats per pixel of the
+        object's radius, since what a map gets wrong lies along the outline."""
+        top = int(np.argmax(log_likelihood))
+        radius_px = self.domain.radius * float(np.exp(poses.log_scale[top]))
+        return max(0.0, evidence.light_nats - float(log_likelihood[top])) / radius_px
+
+    def exponent(self, misfit: float | None = None) -> float:
+        """Power of the likelihood near a peak, after ``misfit`` (by default that of the frames before).
+
+        A quasi-likelihood (Wedderburn 1974): the dispersion is told by what the best fit leaves over. A map that even
+        the best silhouette contradicts, in turbulence or half in shadow, knows less of the pose.
+        """
+        likelihood = self.config.likelihood
+        left = float(self.recall("misfit", 0.0)) if misfit is None else misfit
+        return likelihood.exponent / (1.0 + left / likelihood.misfit_nats)
 
     @property
     def surprise(self) -> float:

@@ -150,6 +150,17 @@ def test_a_change_of_the_skys_level_is_no_light():
     assert np.mean(maps(brighter, sky).log_ratio > 0) < 0.005
 
 
+def test_a_change_of_the_skys_gradient_is_no_light():
+    """A moonrise: ten sigma more in one corner than in the other, with the object in the frame."""
+    sky = sky_of([frame(0.0, seed) for seed in range(10)])
+    across = np.linspace(-7, 7, SIZE)
+    image = frame(np.float32(20 + across + across[:, None]) + 80 * disc(), 99)
+    level = frame(np.float32(20) + 80 * disc(), 99)
+    found, expected = (maps(one, sky, psf_sigma_px=1.0).log_ratio > 0 for one in (image, level))
+    assert np.mean(found & ~expected) < 0.005
+    assert np.mean(found & (disc() > 0.5)) > 0.99 * np.mean(disc())
+
+
 @pytest.mark.parametrize("radius", [22.0, 34.0])
 @pytest.mark.parametrize("sigma", [1.0, 2.0, 3.0])
 def test_a_large_object_does_not_make_light_of_the_sky(radius, sigma):
