@@ -7,11 +7,13 @@ import random
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from service.sessions.checkpoint import Checkpoint
+from service.sessions.checkpoint_models import Compared
 from service.workers.codec import decode, encode
 
 NUMBERS = (0, 1, 2, 3, 7, 8, 15, 16, 127, 128, 255, 256, 4095, 32767, 65535, 65536, 1 << 20, 1 << 24, 1 << 31, 1 << 32)
@@ -161,7 +163,13 @@ def forge(dice: random.Random, blob: bytes) -> bytes:
     if dice.random() < 0.1:
         return reseal(spoil(dice, blob, blob))
     packed = decode(Checkpoint, blob)
-    parts = {name: getattr(packed, name).tobytes() for name in Checkpoint.__dataclass_fields__}
+    if packed.compared is not None and dice.random() < 0.6:
+        return encode(replace(packed, compared=forge_models(dice, packed.compared)))
+    parts = {
+        name: getattr(packed, name).tobytes()
+        for name in Checkpoint.__dataclass_fields__
+        if name != "compared" and len(getattr(packed, name))
+    }
     name = dice.choice(list(parts))
     if name in ("session", "model", "history") and dice.random() < 0.85:
         parts[name] = json.dumps(spoil_json(dice, json.loads(parts[name]))).encode()
@@ -173,7 +181,26 @@ def forge(dice: random.Random, blob: bytes) -> bytes:
         session = json.loads(parts["session"])
         session["background_key"] = _sha256(parts["background"])
         parts["session"] = json.dumps(session).encode()
-    return encode(Checkpoint(**{key: np.frombuffer(value, np.uint8) for key, value in parts.items()}))
+    return encode(replace(packed, **{key: np.frombuffer(value, np.uint8) for key, value in parts.items()}))
+
+
+def forge_models(dice: random.Random, compared: Compared) -> Compared:
+    """The models of a comparison, one of their rows, files or posteriors changed, left out, or another's."""
+    if dice.random() < 0.4:
+        rows = json.dumps(spoil_json(dice, json.loads(compared.rows.tobytes()))).encode()
+        return replace(compared, rows=np.frombuffer(rows, np.uint8))
+    name = dice.choice(("files", "states"))
+    parts = dict(getattr(compared, name))
+    key, kind = dice.choice(sorted(parts)), dice.random()
+    if kind < 0.2:
+        parts[dice.choice(("7", "x", "-1"))] = parts.pop(key)
+    elif kind < 0.4:
+        parts[key] = parts[dice.choice(sorted(parts))]
+    else:
+        body = parts[key].tobytes()
+        changed = forge_arrays(dice, body) if name == "states" else spoil(dice, body, body)
+        parts[key] = np.frombuffer(changed, np.uint8)
+    return replace(compared, **{name: parts})
 
 
 def forge_arrays(dice: random.Random, blob: bytes) -> bytes:
