@@ -6,6 +6,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from fake_worker import CUBE
 from passes import PNG, begin, fake_pass
 from playwright.sync_api import expect
 from watching import open_session, shows
@@ -16,8 +17,9 @@ FRAMES = 3
 
 @pytest.fixture(scope="module")
 def sessions(server):
-    """Two sessions with a few frames."""
+    """Two sessions with a few frames, and a second model."""
     given = fake_pass(FRAMES)
+    httpx.post(f"{server.url}/v1/models", files={"file": ("other.glb", CUBE + b" joint other")}).raise_for_status()
     with httpx.Client(base_url=server.url, timeout=60) as http:
         ids = [begin(http, given, name="body.glb") for _ in range(2)]
         for session_id in ids:
@@ -33,7 +35,9 @@ def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessi
     assert overflow(page) == 0
     assert findings(page) == []
     page.get_by_role("button", name="New track").click()
-    page.get_by_text("More settings").click()
+    page.locator("select[name=model]").select_option(index=1)
+    for details in ("Not sure which spacecraft it is?", "Telescope, site and orbit", "More settings"):
+        page.get_by_text(details).click()
     assert findings(page) == []
     assert overflow(page) == 0
     page.keyboard.press("Escape")

@@ -1,8 +1,10 @@
 // The dialog of a new track: files in, a model, empty sky, moving parts; then everything is sent.
 import { ACCEPT_MESH, describe, dropped, isVideo, modelFiles, sort } from "./intake.js";
 import { problemText } from "./notices.js";
+import { Others } from "./others.js";
 import { element } from "./readout.js";
 import { titleOf } from "./sessions.js";
+import { telescope } from "./telescope.js";
 
 const DEFAULT_FIRST = 5, MANY_JOINTS = 6;
 
@@ -13,6 +15,7 @@ export class CreateDialog {
     this.form = dialog.querySelector("form");
     this.fields = this.form.elements;
     this.problem = dialog.querySelector(".problem");
+    this.others = new Others(dialog.querySelector(".others"));
     this.fields.mesh.accept = ACCEPT_MESH;
     this.fields.folder.addEventListener("change", () => this.take(this.fields.folder.files));
     this.fields.files.addEventListener("change", () => this.take(this.fields.files.files));
@@ -135,13 +138,13 @@ export class CreateDialog {
       `${model.faces.toLocaleString("en")} faces`, `${model.parts.length} ${model.parts.length === 1 ? "part" : "parts"}`,
       `${model.size.map((s) => Number(s.toPrecision(3))).join(" × ")} units`, ...model.warnings].join(" · "));
     const box = this.dialog.querySelector(".joints");
-    box.hidden = !joints.length;
     box.querySelector("div").replaceChildren(...joints.map((joint) => {
       const label = element("label"), input = element("input");
       Object.assign(input, { type: "checkbox", name: "joint", value: joint.name, checked: joints.length <= MANY_JOINTS });
       label.append(input, ` ${joint.name} `, element("small", `${joint.min} to ${joint.max}${joint.kind === "revolute" ? "°" : ""}`));
       return label;
     }));
+    this.others.show(this.models, model);
     this.refresh();
   }
 
@@ -161,12 +164,16 @@ export class CreateDialog {
     fields.sky[0].disabled = !sky.length;
     fields.sky[1].disabled = frames.length < 2 || frames.some(isVideo);
     for (const part of this.dialog.querySelectorAll(".later")) part.disabled = !frames.length;
+    const compares = this.others.ids.length > 0;
+    this.dialog.querySelector(".joints").hidden = compares || !this.model?.joints.length;
+    this.dialog.querySelector(".all-joints").hidden = !compares;
+    this.dialog.querySelector(".up-from").textContent = fields.mount.value === "altaz" ? "zenith" : "north";
     const missing = !frames.length ? "Choose the frames"
       : !this.model && !this.session ? "Choose the spacecraft's model" : null;
     const button = fields.start;
     button.disabled = Boolean(missing);
     const videos = tracked.filter(isVideo).length;
-    button.textContent = missing ?? (videos ? `Track ${videos === 1 ? tracked[0].name : `${videos} videos`}` : `Track ${tracked.length} frames`);
+    button.textContent = missing ?? (videos ? `Track ${videos === 1 ? tracked[0].name : `${videos} videos`}` : `Track ${tracked.length} ${tracked.length === 1 ? "frame" : "frames"}`);
   }
 
   tell(error) {
@@ -197,14 +204,17 @@ export class CreateDialog {
     const { fields } = this;
     const numbers = { particles: fields.particles.valueAsNumber, seed: fields.seed.valueAsNumber };
     const filter = Object.fromEntries(Object.entries(numbers).filter(([, value]) => Number.isFinite(value)));
-    const joints = [...this.dialog.querySelectorAll(".joints input:checked")].map((input) => input.value);
+    const others = this.others.ids;
+    const ticked = [...this.dialog.querySelectorAll(".joints input:checked")].map((input) => input.value);
+    const joints = !others.length ? ticked : fields.all_joints.checked ? "all" : [];
     const rate = fields.rate.valueAsNumber;
     return {
-      model_id: this.model.model_id,
+      ...(others.length ? { model_ids: [this.model.model_id, ...others] } : { model_id: this.model.model_id }),
       ...(fields.name.value.trim() ? { name: fields.name.value.trim() } : {}),
       ...(joints.length ? { joints: { free: joints } } : {}),
       filter: { preset: fields.preset.value, ...filter },
       ...(rate > 0 ? { motion: { frame_interval_s: 1 / rate } } : {}),
+      ...telescope(fields),
     };
   }
 
