@@ -84,5 +84,6 @@ def running(command: list[str], log: Path) -> Iterator["subprocess.Popen[bytes]"
     try:
         yield process
     finally:
-        os.killpg(process.pid, signal.SIGTERM)
-        process.wait(120)
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGTERM)
+            process.wait(120)
