@@ -141,6 +141,8 @@ class Stage(Wire):
     origin: list[float]
     depth: int
     """Deeper stages, of all joints together, are applied first."""
+    ratio: float = 1.0
+    """It moves by this times the joint's value."""
 
 
 class Joint(Stage):

@@ -27,6 +27,7 @@ class Stage:
     axis: tuple[float, float, float]  # unit
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # body frame, model units
     depth: int = 0  # deeper stages are applied first
+    ratio: float = 1.0  # it moves by this times the joint's value
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,8 @@ def _part_motions(articulation: Articulation, values: Array) -> list[Array | Non
 
 
 def stage_motion(stage: Stage, values: Array) -> Array:
-    """(N, 4, 4) rigid motions of a stage at ``values`` (N,) degrees or model units (Rodrigues' formula)."""
-    axis = np.asarray(stage.axis)
+    """(N, 4, 4) rigid motions of a stage at joint ``values`` (N,) degrees or model units (Rodrigues' formula)."""
+    axis, values = np.asarray(stage.axis), stage.ratio * values
     out = np.tile(np.eye(4), (len(values), 1, 1))
     if stage.kind == "prismatic":
         out[:, :3, 3] = values[:, None] * axis

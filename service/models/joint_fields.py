@@ -21,10 +21,11 @@ def refused(field: str, problem: str) -> JointError:
 
 
 def make_joint(name: str, kind: Kind, bounds: tuple[float, float, float], stages: tuple[Stage, ...]) -> Joint:
-    """A joint with its period: a whole turn, if its range covers one."""
+    """A joint with its period: a whole turn, if its range covers one, and all that it drives is then back as it was."""
     low, high, initial = bounds
     # Only a joint that can turn all the way round may step from one end of its range to the other.
-    period = FULL_TURN_DEG if kind == "revolute" and high - low >= FULL_TURN_DEG else None
+    turns = high - low >= FULL_TURN_DEG and all(stage.ratio.is_integer() for stage in stages)
+    period = FULL_TURN_DEG if kind == "revolute" and turns else None
     return Joint(name, kind, low, high, initial, stages, period)
 
 

@@ -121,7 +121,8 @@ class Trials:
         vertices = np.vstack([self.mesh.parts[p].vertices for p in parts])
         middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         centre = np.mean([_nearest_on_axis(stage, middle) for stage in joint.stages], axis=0)
-        slide = max(abs(joint.minimum), abs(joint.maximum)) if joint.kind == "prismatic" else 0.0
+        farthest = max(abs(joint.minimum), abs(joint.maximum)) * max(abs(stage.ratio) for stage in joint.stages)
+        slide = farthest if joint.kind == "prismatic" else 0.0
         return Target(centre, float(np.linalg.norm(vertices - centre, axis=1).max()) + slide)
 
     def _reach(self) -> float:

@@ -9,12 +9,13 @@ from typing import Any
 from service.inference.articulation import Joint, Stage
 from service.models.joint_fields import limits, make_joint, number, refused
 
+LARGEST_RATIO = 100.0
 _TIE_KEYS = {"name", "tied_to", "ratio"}
 
 
 @dataclass(frozen=True)
 class Tie:
-    """Joint ``name`` always stands at ``ratio`` (1 or -1) times the value of joint ``leader``."""
+    """Joint ``name`` always stands at ``ratio`` times the value of joint ``leader``."""
 
     name: str
     leader: str
@@ -37,10 +38,15 @@ def split_ties(
             known = ", ".join(sorted(_TIE_KEYS))
             raise refused(f"{where}.{unknown[0]}", f"a tie has only {known}; the joint itself is another entry")
         ratio = number(entry, "ratio", where, default=1.0)
-        if ratio not in (1.0, -1.0):
-            raise refused(f"{where}.ratio", "must be 1 or -1")
+        if not is_ratio(ratio):
+            raise refused(f"{where}.ratio", f"its size must be from {1 / LARGEST_RATIO:g} to {LARGEST_RATIO:g}")
         ties.append(Tie(str(entry.get("name")), str(entry["tied_to"]), ratio, where))
     return tuple(definitions), tuple(ties)
+
+
+def is_ratio(ratio: float) -> bool:
+    """Whether a joint can be tied to another by this factor."""
+    return 1 / LARGEST_RATIO <= abs(ratio) <= LARGEST_RATIO
 
 
 def tie_joints(joints: Sequence[Joint], ties: Sequence[Tie]) -> tuple[Joint, ...]:
@@ -67,8 +73,10 @@ def tie_joints(joints: Sequence[Joint], ties: Sequence[Tie]) -> tuple[Joint, ...
 def _folded(leader: Joint, follower: Joint, tie: Tie) -> Joint:
     if leader.kind != follower.kind:
         raise refused(f"{tie.where}.tied_to", f"{tie.name!r} is {follower.kind}, {tie.leader!r} {leader.kind}")
-    ends = sorted((tie.ratio * follower.minimum, tie.ratio * follower.maximum))
-    low, high = max(leader.minimum, ends[0]), min(leader.maximum, ends[1])
+    low, high = leader.minimum, leader.maximum
+    if follower.period is None:  # else it may turn as often as it likes
+        ends = sorted((follower.minimum / tie.ratio, follower.maximum / tie.ratio))
+        low, high = max(low, ends[0]), min(high, ends[1])
     if low > high:
         raise refused(f"{tie.where}.tied_to", f"no value is in the ranges of both {tie.name!r} and {tie.leader!r}")
     initial = min(max(leader.initial, low), high)
@@ -79,4 +87,5 @@ def _folded(leader: Joint, follower: Joint, tie: Tie) -> Joint:
 def _turned(stage: Stage, ratio: float) -> Stage:
     """The stage that does with a value what ``stage`` does with ``ratio`` times it."""
     x, y, z = stage.axis
-    return replace(stage, axis=(ratio * x, ratio * y, ratio * z))
+    way = 1.0 if ratio > 0 else -1.0
+    return replace(stage, axis=(way * x, way * y, way * z), ratio=abs(ratio) * stage.ratio)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from gpu.urdf import UrdfJoint, UrdfRobot
 from service.inference.articulation import Joint, Stage
 from service.models.joint_fields import limits, make_joint, require_unique_names, triple
-from service.models.tied_joints import Tie, tie_joints
+from service.models.tied_joints import Tie, is_ratio, tie_joints
 
 _REVOLUTE, _PRISMATIC = ("revolute", "continuous"), "prismatic"
 _HALF_TURN_DEG = 180.0
@@ -19,8 +19,8 @@ def joints_from_urdf(
 ) -> tuple[tuple[Joint, ...], tuple[str, ...]]:
     """One joint per movable joint of the file, and warnings. ``centre`` (3,) is the mesh centre in file coordinates.
 
-    Values count from the file's zero position. A joint that mimics another with multiplier 1 or -1 is tied to it: its
-    offset is in the position at rest. Raises ``JointError``.
+    Values count from the file's zero position. A joint that mimics another is tied to it: its offset is in
+    the position at rest. Raises ``JointError``.
     """
     joints: list[Joint] = []
     ties: list[Tie] = []
@@ -39,7 +39,7 @@ def joints_from_urdf(
             joints.append(_joint(item, moved, centre, robot.depth(item.child)))
             if item.mimic is not None:
                 leader, multiplier, _ = item.mimic
-                if leader in names and multiplier in (1.0, -1.0):
+                if leader in names and is_ratio(multiplier):
                     ties.append(Tie(item.name, leader, multiplier, f"joint {item.name!r}"))
                 else:
                     warnings.append(

@@ -184,4 +184,5 @@ def _stage(stage: Stage, centre: list[float]) -> Document:
         "axis": list(stage.axis),
         "origin": origin,
         "depth": stage.depth,
+        "ratio": stage.ratio,
     }

@@ -109,8 +109,8 @@ def _joint_entry(simulated: SimulatedPass, joint: Joint) -> dict[str, Any]:
         offset = np.subtract(stage.origin, first.origin)
         aside = np.linalg.norm(np.cross(offset, first.axis)) if joint.kind == "revolute" else 0.0
         turned = np.linalg.norm(np.subtract(stage.axis, first.axis))
-        if turned > _COAXIAL_TOLERANCE or aside > _COAXIAL_TOLERANCE * simulated.mesh.radius:
-            raise ValueError(f"joint {joint.name!r} has stages about different axes; leave it at rest")
+        if stage.ratio != 1 or turned > _COAXIAL_TOLERANCE or aside > _COAXIAL_TOLERANCE * simulated.mesh.radius:
+            raise ValueError(f"joint {joint.name!r} has stages that turn differently; leave it at rest")
     return {
         "name": joint.name,
         "nodes": [part for stage in joint.stages for part in stage.parts],

@@ -39,6 +39,9 @@ class ResidentSteps:
         chosen = config.filter
         if chosen.method != "bootstrap" or chosen.step == "host" or chosen.resampler not in RESAMPLERS:
             return None
+        driven = (*domain.articulation.joints, *(joint for joint, _ in domain.articulation.held))
+        if any(stage.ratio != 1 for joint in driven for stage in joint.stages):
+            return None  # the device's stages move by the joint's value
         buffers = on_device(scorer)
         if chosen.step == "auto" and (chosen.particles < LEAST_PARTICLES or buffers is None or not on_gpu(buffers)):
             return None

@@ -29,7 +29,8 @@ export function angleBetween(a, b) {
   return (2 * Math.acos(Math.min(1, dot)) * 180) / Math.PI;
 }
 
-function stageMatrix(stage, value) {
+function stageMatrix(stage, jointValue) {
+  const value = stage.ratio * jointValue;
   const axis = new Vector3(...stage.axis);
   if (stage.kind === "prismatic") return new Matrix4().makeTranslation(axis.multiplyScalar(value));
   const origin = new Vector3(...stage.origin);

@@ -114,13 +114,13 @@ def test_joints_have_the_files_ranges_in_degrees_and_a_mimicking_one_is_no_varia
     assert joints["drive"].period == 360 and len(joints["drive"].stages) == 2
     assert joints["mast"].maximum == 0.7
     assert mesh.watertight and not found.warnings
-    odd = SATELLITE.replace(b'multiplier="-1"', b'multiplier="2"').replace(
+    odd = SATELLITE.replace(b'multiplier="-1"', b'multiplier="0"').replace(
         b'"swing" type="revolute"', b'"swing" type="planar"'
     )
     data = pack_urdf(odd, {"panel.stl": panel()})
     free = read_joints(data, "urdf", mesh)
     assert [joint.name for joint in free.articulation.joints] == ["drive", "drive_right", "mast"]
-    assert ["planar" in free.warnings[0], "multiplier 2" in free.warnings[1]] == [True, True]
+    assert ["planar" in free.warnings[0], "multiplier 0" in free.warnings[1]] == [True, True]
 
 
 def test_ties_of_the_upload_leave_the_files_joints():
@@ -133,12 +133,34 @@ def test_ties_of_the_upload_leave_the_files_joints():
     for wrong, field in (
         ({"name": "drive", "tied_to": "mast"}, "tied_to"),
         ({"name": "wing", "tied_to": "mast"}, "name"),
-        ({"name": "drive", "tied_to": "drive_right", "ratio": 2}, "ratio"),
+        ({"name": "drive", "tied_to": "drive_right", "ratio": 0}, "ratio"),
         ({"name": "drive", "tied_to": "drive_right", "axis": [1, 0, 0]}, "axis"),
     ):
         with pytest.raises(JointError) as caught:
             placed(data, [wrong])
         assert caught.value.field == f"joints[0].{field}"
+
+
+@pytest.mark.parametrize(("ratio", "period"), [(2.0, 360.0), (-3, 360.0), (0.5, None), (-0.25, None)])
+def test_a_gear_ties_two_drives(ratio, period):
+    plain = SATELLITE.replace(b'<mimic joint="drive" multiplier="-1" offset="0.5"/>', b"")
+    data = pack_urdf(plain, {"panel.stl": panel()})
+    geared = pack_urdf(
+        SATELLITE.replace(b'multiplier="-1" offset="0.5"', f'multiplier="{ratio}"'.encode()), {"panel.stl": panel()}
+    )
+    tie = [{"name": "drive_right", "tied_to": "drive", "ratio": ratio}]
+    free = placed(data, drive=40, drive_right=40 * ratio)
+    for tied in (placed(data, tie, drive=40), placed(geared, drive=40)):
+        for name, vertices in free.items():
+            np.testing.assert_allclose(tied[name], vertices, atol=1e-12)
+    joints = {joint.name: joint for joint in read_joints(geared, "urdf", load_mesh(geared, "urdf")).articulation.joints}
+    drive = joints["drive"]
+    assert (drive.minimum, drive.maximum, drive.period) == (-180, 180, period)
+    slower = [{"name": "swing", "tied_to": "drive", "ratio": ratio}]
+    articulation = read_joints(data, "urdf", load_mesh(data, "urdf"), slower).articulation
+    (tied_to,) = (joint for joint in articulation.joints if joint.name == "drive")
+    ends = sorted(np.rad2deg([-1.5, 1.0]) / ratio)  # of what cannot turn all the way
+    assert (tied_to.minimum, tied_to.maximum) == pytest.approx((max(-180, ends[0]), min(180, ends[1])))
 
 
 def archive(compression: int, **files: bytes) -> bytes:
