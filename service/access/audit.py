@@ -6,6 +6,7 @@ a count, so that nobody can wash the log out.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -50,6 +51,7 @@ class Audit:
         self._most = most
         self._clock = clock
         self._done: list[AuditRecord] = []
+        self._storing = asyncio.Lock()
         self._refused: dict[tuple[str, str, str, str, int], AuditRecord] = {}
         self._gathered_since = self._forgotten_at = datetime.min.replace(tzinfo=UTC)
 
@@ -76,6 +78,10 @@ class Audit:
 
         Raises ``StorageError``; what was not written stays for the next time.
         """
+        async with self._storing:  # or what one is writing another would write too
+            await self._store(final)
+
+    async def _store(self, final: bool) -> None:
         now = self._clock()
         records, refused = list(self._done), {}
         if final or now - self._gathered_since >= timedelta(seconds=GATHER_REFUSALS_S):

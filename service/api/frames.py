@@ -162,6 +162,9 @@ async def read_submission(
     if document is not None:
         return _json(document)
     if not services.submissions.pending(session, key):
+        document = await services.archive.by_key(session, key)  # it may have been stored since
+        if document is not None:
+            return _json(document)
         elsewhere = await services.forwarding.at_peer(Call.of(request, session, caller))
         if elsewhere is not None:
             return elsewhere

@@ -63,6 +63,7 @@ async def test_owner_that_was_overtaken_writes_nothing_and_is_replaced(make_app)
         assert (await api.post(session_id, 2)).json()["index"] == 1
 
 
+@pytest.mark.usefixtures("one_process")  # on PostgreSQL several commit at once, in any order
 async def test_sessions_share_the_worker_fairly(make_app):
     """Sixteen sessions with all their frames posted at once: none gets far ahead of the others."""
     async with running(make_app(session_inbox_frames=10)) as api:
