@@ -44,8 +44,16 @@ class Settings(BaseSettings):
     log_format: Literal["json", "text"] = "json"
     """JSON lines for machines, or text for people."""
 
+    engine: Literal["process", "ray"] = "process"
+    """What runs the workers: processes of this machine, or actors of a Ray cluster (extra `skypose[ray]`)."""
+    ray_address: str = ""
+    """`HOST:PORT` of the cluster; none: a Ray of its own on this machine, for as long as the service runs."""
+    ray_actors: Annotated[int, Field(ge=0)] = 0
+    """Actors of this service; 0: one per GPU of the cluster, without any one per `SKYPOSE_RAY_CORES`."""
+    ray_cores: Positive = 1
+    """Cores that each actor asks of Ray, shared by its tracking processes."""
     workers: Positive = 1
-    """Tracking processes. A session stays with one while that has room for its next frame."""
+    """Tracking processes, with Ray in each actor. A session stays with one while that has room for its next frame."""
     batching: Literal["auto", "on", "off"] = "auto"
     """Whether several tracking processes share a device, which scores what they ask at one time in one launch: `auto`
     where there is a GPU, `on` anywhere."""

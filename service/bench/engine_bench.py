@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -182,6 +183,17 @@ def process_contestants(workers: Sequence[int]) -> list[Contestant]:
     at_once = [Contestant("processes", n, partial(processes, n, "off")) for n in workers]
     batched = [Contestant("batching", n, partial(processes, n, "on")) for n in workers if n > 1]
     return [Contestant("one by one", 1, partial(processes, 1, "off"), one_by_one=True), *at_once, *batched]
+
+
+def ray_contestant() -> Contestant:
+    """An actor of one process, on a Ray of its own on this machine: one by one, so that what Ray adds is seen."""
+    from service.workers.ray_engine import RayPlan, RayTransport
+    from service.workers.ray_worker import WorkerPlan
+
+    program = Program(TRACKER, (DecodeLimits(), None), start_timeout_s=TIMEOUT_S)
+    cores = len(os.sched_getaffinity(0))  # as many as the one worker process of the first contestant
+    worker = WorkerPlan(program, 1, TIMEOUT_S, "off", cores)
+    return Contestant("ray, one by one", 1, lambda: RayTransport(RayPlan("", 1, 1, TIMEOUT_S), worker), one_by_one=True)
 
 
 def engines_table(rows: Sequence[EngineRow]) -> Table:

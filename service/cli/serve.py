@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -21,11 +21,14 @@ def serve(
     port: Annotated[int | None, typer.Option(help="Port to listen on; 0 takes a free one.")] = None,
     data: Annotated[Path | None, typer.Option(help="Data directory.")] = None,
     workers: Annotated[int | None, typer.Option(help="Tracking processes.")] = None,
+    engine: Annotated[Literal["process", "ray"] | None, typer.Option(help="What runs them.")] = None,
+    address: Annotated[str | None, typer.Option(help="HOST:PORT of the Ray cluster.")] = None,
 ) -> None:
     """Run the service. What is not given comes from SKYPOSE_... or the defaults (docs/settings.md)."""
     from service.settings import Settings
 
     given: dict[str, Any] = {"host": host, "port": port, "data_dir": data, "workers": workers}
+    given |= {"engine": engine, "ray_address": address}
     settings = Settings(**{name: value for name, value in given.items() if value is not None})
     run(settings)
 
@@ -40,11 +43,11 @@ def run(settings: Settings, worker: str | None = None) -> None:
     logs.configure(settings.log_level, settings.log_format)
     if settings.needs_credential:
         refuse_open_door(settings)
-    transport = open_transport(settings.model_dump(), worker)
-    transport.prestart()  # its imports take as long as ours below: side by side they take half
-    from service.main import create_app
-
     try:
+        transport = open_transport(settings.model_dump(), worker)
+        transport.prestart()  # its imports take as long as ours below: side by side they take half
+        from service.main import create_app
+
         app = create_app(settings, transport)
     except SkyposeError as error:
         _refuse(error)

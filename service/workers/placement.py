@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 KNOWN_MODELS = 8  # of a worker: as many as its cache holds
 KNOWN_SESSIONS = 100_000
 UNKNOWN_MODEL = 1  # jobs: preparing a model is worth it for every worker that would have nothing to do
+MEMORY_STEP = 256 << 20  # bytes: less than this is no reason to prefer a worker
 BUSIER = 2  # jobs more than elsewhere, for which a session leaves a worker where others are busy too
 
 
@@ -21,6 +22,7 @@ BUSIER = 2  # jobs more than elsewhere, for which a session leaves a worker wher
 class _Place:
     load: int = 0  # jobs under way or waiting
     sessions: int = 0  # that live there
+    memory: int = 0  # steps of ``MEMORY_STEP``, as the worker told last
     models: OrderedDict[str, None] = field(default_factory=OrderedDict)
 
 
@@ -49,12 +51,21 @@ class Placement:
         if worker in self._places:
             self._places[worker].models.clear()
 
-    def take(self, session: str, model: str | None) -> str:
-        """The worker for a job, which counts for its load until ``done``. Raises ``LookupError`` if there is none."""
+    def weigh(self, worker: str, memory_bytes: int) -> None:
+        """What a worker's processes take of memory."""
+        if worker in self._places:
+            self._places[worker].memory = memory_bytes // MEMORY_STEP
+
+    def take(self, session: str | None, model: str | None) -> str:
+        """The worker for a job, which counts for its load until ``done``; ``session`` None: of no session.
+
+        Raises ``LookupError`` where there is no worker.
+        """
         if not self._places:
             raise LookupError("no worker is left")
-        worker = self._choose(self._homes.get(session), model)
-        self._settle(session, worker)
+        worker = self._choose(None if session is None else self._homes.get(session), model)
+        if session is not None:
+            self._settle(session, worker)
         place = self._places[worker]
         place.load += 1
         if model is not None:
@@ -78,10 +89,10 @@ class Placement:
         return self._places[worker].sessions
 
     def _choose(self, home: str | None, model: str | None) -> str:
-        def cost(worker: str) -> tuple[int, int, int]:
+        def cost(worker: str) -> tuple[int, int, int, int]:
             place = self._places[worker]
             prepares = UNKNOWN_MODEL if model is not None and model not in place.models else 0
-            return place.load + prepares, len(place.models), place.sessions  # models are what takes memory
+            return place.load + prepares, place.memory, len(place.models), place.sessions
 
         best = min(self._places, key=cost)
         if home is None or home not in self._places:

@@ -25,13 +25,24 @@ class ProcessTransport:
     whichever is lost.
     """
 
-    def __init__(self, program: Program, workers: int, timeout_s: float, batching: Batching = "off") -> None:
-        """With batching the address of the device's owner is one more argument of the program's factory."""
+    def __init__(
+        self,
+        program: Program,
+        workers: int,
+        timeout_s: float,
+        batching: Batching = "off",
+        cores: int | None = None,
+    ) -> None:
+        """``cores`` that the workers may use together; None: all.
+
+        With batching the address of the device's owner is one more argument of the program's factory.
+        """
         self._device: DeviceProcess | None = None
         if batching != "off" and workers > 1:
             self._device = DeviceProcess(batching == "on", program.nice)
             program = replace(program, arguments=(*program.arguments, self._device.address))
-        shared = replace(program, threads=max(1, len(os.sched_getaffinity(0)) // workers))
+        cores = cores or len(os.sched_getaffinity(0))
+        shared = replace(program, threads=max(1, cores // workers))
         self._spare = Spare(shared)
         names = [*(f"track-{n}" for n in range(workers)), "side"]
         *self.workers, self.side = [WorkerProcess(name, shared, timeout_s, self._spare) for name in names]
