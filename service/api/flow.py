@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import structlog
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import problem_response
@@ -56,6 +56,8 @@ class Flow:
         except BusyError as error:
             services_of(Request(scope)).metrics.refusals.labels(error.slug).inc()
             await problem_response(error)(scope, receive, send)
+        except ClientDisconnect:
+            log.info("client left in the middle of its body", path=scope["path"])
         except StalledError:
             log.info("client let go: it took nothing for too long", path=scope["path"])
 

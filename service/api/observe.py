@@ -16,6 +16,7 @@ from service.api.services import services_of
 
 log = structlog.get_logger(__name__)
 _METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH")
+CLIENT_LEFT = 499  # nobody is there to be answered; as nginx counts them
 _QUIET = ("/healthz", "/readyz", "/metrics", "/static")
 
 
@@ -31,7 +32,7 @@ class Observe:
             await self._app(scope, receive, send)
             return
         request_id = _request_id(Headers(scope=scope).get("x-request-id", ""))
-        started, status = time.perf_counter(), 500
+        started, status = time.perf_counter(), CLIENT_LEFT
 
         async def marked(message: Message) -> None:
             nonlocal status
@@ -43,6 +44,9 @@ class Observe:
         with structlog.contextvars.bound_contextvars(request_id=request_id):
             try:
                 await self._app(scope, receive, marked)
+            except Exception:
+                status = 500
+                raise
             finally:
                 self._note(scope, status, time.perf_counter() - started)
 
