@@ -1,7 +1,7 @@
 # skypose as an image: PoCL for OpenCL on the CPU, Mesa for OpenGL without a display. Listens on 8000; writes under /data,
 # /var/cache/skypose (compiled kernels) and /tmp only, so that its root may be read-only (docs/operations.md).
 #   --build-arg NVIDIA=1             also finds the drivers that NVIDIA's container toolkit hands in
-#   --build-arg EXTRAS=postgres      packages for a cluster: postgres, ray, or "postgres ray"
+#   --build-arg EXTRAS=ray           also holds Ray, for workers on several machines
 ARG BASE=debian:bookworm-slim
 
 FROM ${BASE} AS build

@@ -8,6 +8,7 @@ import pytest
 from packaging.requirements import Requirement
 
 RENEW = "renew the locks with deploy/lock"
+LOCKS = ["requirements.lock", "requirements-ray.lock", "requirements-dev.lock"]
 
 
 def pinned(path: Path) -> dict[str, set[str]]:
@@ -35,12 +36,14 @@ def test_holds_what_the_project_asks_for(root: Path, name: str) -> None:
         assert all(version in requirement.specifier for version in locked[package]), f"{package}: {RENEW}"
 
 
-def test_both_hold_the_same_versions(root: Path) -> None:
-    run, dev = pinned(root / "requirements.lock"), pinned(root / "requirements-dev.lock")
-    assert {package: dev.get(package) for package in run} == run, RENEW
+def test_all_hold_the_same_versions(root: Path) -> None:
+    run, ray, dev = (pinned(root / name) for name in LOCKS)
+    assert {package: ray.get(package) for package in run} == run, RENEW
+    assert {package: dev.get(package) for package in ray} == ray, RENEW
+    assert "ray" in ray.keys() - run.keys()
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
+@pytest.mark.parametrize("name", LOCKS)
 def test_every_package_has_hashes_and_no_address(root: Path, name: str) -> None:
     entries = re.split(r"^(?=\S)", (root / name).read_text(), flags=re.M)[1:]
     assert entries

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 VERSIONS = ("1.30", "1.34")
-BUILT = ["base", "overlays/nvidia", "overlays/sqlite"]
-FOREIGN = {"Kustomization", "ServiceMonitor", "RayCluster"}  # their schemas are their operators'
+BUILT = ["base", "overlays/nvidia", "overlays/sqlite", "overlays/ray"]
+FOREIGN = {"Kustomization", "ServiceMonitor"}  # their schemas are elsewhere
 
 
 def documents(path: Path) -> list[dict[str, Any]]:
@@ -23,6 +23,11 @@ def files(root: Path) -> list[Path]:
 
 def validate(document: dict[str, Any]) -> None:
     kubernetes_validate = pytest.importorskip("kubernetes_validate")
+    if document["kind"] == "RayCluster":  # its own schema is its operator's, but its pods are Kubernetes'
+        for group in (document["spec"]["headGroupSpec"], *document["spec"]["workerGroupSpecs"]):
+            pod = {"apiVersion": "v1", "kind": "Pod", **group["template"]}
+            validate({**pod, "metadata": {"name": "ray", **pod["metadata"]}})
+        return
     for version in VERSIONS:
         kubernetes_validate.validate(document, version, strict=True)
 
@@ -39,7 +44,7 @@ def built(root: Path, name: str) -> list[dict[str, Any]]:
 
 
 def test_every_file_is_valid(root):
-    patches = {"gpu.yaml", "single.yaml"}  # parts of a whole: checked when built
+    patches = {"gpu.yaml", "single.yaml", "web.yaml"}  # parts of a whole: checked when built
     for path in files(root):
         for document in documents(path):
             if document["kind"] not in FOREIGN and path.name not in patches:
@@ -63,7 +68,7 @@ def test_what_is_built_is_valid(root, name):
     for document in found:
         validate(document)
     assert {document["metadata"]["namespace"] for document in found} == {"skypose"}
-    labels = {document["kind"]: document for document in found}
+    labels = {document["kind"]: document for document in reversed(found)}  # of two policies the first: the web's
     pods = labels["Deployment"]["spec"]["template"]["metadata"]["labels"].items()
     for selector in (
         labels["Service"]["spec"]["selector"],
@@ -84,6 +89,21 @@ def test_what_the_overlays_change(root):
     assert "SKYPOSE_DATABASE_URL" not in {entry["name"] for entry in container(single)["env"]}
     volumes = {volume["name"]: volume for volume in single["spec"]["template"]["spec"]["volumes"]}
     assert volumes["data"] == {"name": "data", "persistentVolumeClaim": {"claimName": "skypose-data"}}
+
+
+def test_a_ray_cluster_runs_the_locked_ray_in_hardened_pods(root):
+    found = built(root, "overlays/ray")
+    cluster = next(document for document in found if document["kind"] == "RayCluster")
+    assert f"ray=={cluster['spec']['rayVersion']} " in (root / "requirements-ray.lock").read_text()
+    for group in (cluster["spec"]["headGroupSpec"], *cluster["spec"]["workerGroupSpecs"]):
+        pod = group["template"]["spec"]
+        assert pod["securityContext"]["runAsNonRoot"] is True
+        assert pod["containers"][0]["securityContext"] == container(deployment(found))["securityContext"]
+        assert group["template"]["metadata"]["labels"]["app.kubernetes.io/part-of"] == "skypose"
+    assert pod["containers"][0]["resources"]["limits"]["nvidia.com/gpu"] == 1
+    assert pod["containers"][0]["image"] == "skypose:ray-nvidia"
+    command = container(deployment(found))["command"][-1]
+    assert command.count(f"{cluster['metadata']['name']}-head-svc:6379") == 2
 
 
 def test_pods_are_hardened_and_probed(root):
