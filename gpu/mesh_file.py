@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from gpu.collada_file import read_collada
 from gpu.gltf_check import check_glb
 from gpu.mesh_limits import MeshError, MeshLimits, require
 from gpu.raw_part import RawPart
@@ -67,8 +68,10 @@ def _urdf_parts(data: bytes, limits: MeshLimits) -> list[RawPart]:
     document, meshes = unpack_urdf(data)
 
     def read_mesh(body: bytes, suffix: str) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+        if suffix.lower() == ".dae":
+            return read_collada(body, limits)
         if suffix.lower() not in (".obj", ".stl", ".ply", ".glb"):
-            raise MeshError(f"URDF: mesh files of type {suffix or 'none'} are not read; OBJ, STL, PLY and GLB are")
+            raise MeshError(f"URDF: mesh files of type {suffix or 'none'} are not read; DAE, OBJ, STL, PLY and GLB are")
         return [(part.vertices, part.faces) for part in read_parts(body, suffix, limits)]
 
     links = link_triangles(read_urdf(document, limits), meshes, read_mesh, limits)

@@ -37,7 +37,9 @@ def unpack_urdf(data: bytes) -> tuple[bytes, dict[str, bytes]]:
             if any(entry.compress_type != zipfile.ZIP_STORED or entry.file_size > len(data) for entry in entries):
                 raise MeshError("URDF: the archive is compressed")
             files = {entry.filename: archive.read(entry) for entry in entries}
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError) as error:
+    except MeshError:
+        raise
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, OSError) as error:
         raise MeshError(f"URDF: the archive cannot be read: {error}") from error
     document = files.pop(DOCUMENT, b"")
     return document, {name.removeprefix(MESHES): body for name, body in files.items()}

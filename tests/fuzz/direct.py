@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 from service.errors import InputError
 from service.workers.decode_process import DecodeProcess
 from service.workers.limits import DecodeLimits
-from tests.fuzz.mutate import mend_glb, mend_png, spoil
+from tests.fuzz.mutate import mend_glb, mend_png, mend_urdf, spoil
 from tests.fuzz.seeds import Seed, image_seeds, mesh_seeds, video_seeds
 
 
@@ -39,6 +39,8 @@ def make_input(number: int, seeds: list[Seed], seed: int) -> tuple[Seed, bytes]:
     chosen = seeds[number % len(seeds)]
     if chosen.kind == "glb" and dice.random() < 0.6:
         return chosen, mend_glb(dice, chosen.body)
+    if chosen.kind == "urdf" and dice.random() < 0.8:
+        return chosen, mend_urdf(dice, chosen.body)
     body = spoil(dice, chosen.body, dice.choice(seeds).body)
     if chosen.kind == "image/png" and dice.random() < 0.7:
         body = mend_png(body)

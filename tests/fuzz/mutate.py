@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from gpu.urdf_archive import pack_urdf, unpack_urdf
 from service.sessions.checkpoint import Checkpoint
 from service.sessions.checkpoint_models import Compared
 from service.workers.codec import decode, encode
@@ -121,6 +122,15 @@ def mend_glb(dice: random.Random, body: bytes) -> bytes:
     text += b" " * (-len(text) % 4)
     rest = body[20 + length :]
     return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+
+
+def mend_urdf(dice: random.Random, body: bytes) -> bytes:
+    """A robot whose document or one of whose meshes is spoilt, in an archive that is well."""
+    document, meshes = unpack_urdf(body)
+    name = dice.choice(["", *sorted(meshes)])
+    if not name:
+        return pack_urdf(spoil(dice, document, body), meshes)
+    return pack_urdf(document, {**meshes, name: spoil(dice, meshes[name], document)})
 
 
 def spoil_json(dice: random.Random, tree: Any) -> Any:

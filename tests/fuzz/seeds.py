@@ -12,8 +12,15 @@ import cv2
 import numpy as np
 import trimesh
 from astropy.io import fits
+from trimesh.exchange.dae import export_collada
+
+from gpu.urdf_archive import pack_urdf
 
 SIZE = (24, 32)  # rows, columns
+ROBOT = b"""<robot name="r"><link name="body"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
+<link name="panel"><visual><geometry><mesh filename="box.dae" scale="1 2 1"/></geometry></visual></link>
+<joint name="drive" type="continuous"><parent link="body"/><child link="panel"/><origin xyz="0 1 0"/><axis xyz="0 1 0"/>
+</joint></robot>"""
 
 
 @dataclass(frozen=True)
@@ -111,13 +118,14 @@ def video_seeds() -> list[Seed]:
 
 
 def mesh_seeds() -> list[Seed]:
-    """Every mesh format; a GLB of two nodes with an articulation."""
+    """Every mesh format; a GLB of two nodes with an articulation; a robot with a COLLADA mesh."""
     box = trimesh.creation.box((1.0, 2.0, 0.5))
     scene = trimesh.Scene()
     scene.add_geometry(box, node_name="body")
     scene.add_geometry(box, node_name="panel", parent_node_name="body", transform=np.diag([2.0, 0.5, 1, 1]))
     files = {kind: as_bytes(box.export(file_type=kind)) for kind in ("stl", "obj", "ply", "stl_ascii")}
     files["glb"] = as_bytes(scene.export(file_type="glb"))
+    files["urdf"] = pack_urdf(ROBOT, {"box.dae": export_collada(box)})
     return [Seed(kind.removesuffix("_ascii"), body, mesh=True) for kind, body in files.items()]
 
 

@@ -1,5 +1,5 @@
 // Files and folders that a user picked or dropped, sorted into a model, empty sky, and frames.
-const MESHES = ["glb", "obj", "stl", "ply"], ROBOTS = ["urdf"];
+const MESHES = ["glb", "obj", "stl", "ply"], ROBOTS = ["urdf"], PIECES = [...MESHES, "dae"];
 const IMAGES = {
   png: "image/png", jpg: "image/jpeg", jpeg: "image/jpeg", tif: "image/tiff", tiff: "image/tiff", fits: "image/fits",
   fit: "image/fits", fts: "image/fits", fz: "image/fits", npy: "application/x-npy",
@@ -10,7 +10,7 @@ const VIDEOS = {
 const SKY_FOLDER = /^(backgrounds?|bg|sky|darks?|empty)[ _.-]*\d*$/i, SKY_FILE = /^(background|bg|sky|dark|empty)[ _.-]*\d/i;
 const order = new Intl.Collator("en", { numeric: true }).compare;
 
-export const ACCEPT_MESH = [...MESHES, ...ROBOTS].map((name) => `.${name}`).join(",");
+export const ACCEPT_MESH = [...PIECES, ...ROBOTS].map((name) => `.${name}`).join(",");
 
 const pathOf = (file) => file.path || file.webkitRelativePath || file.name;
 const folderOf = (file) => pathOf(file).split("/").slice(0, -1).join("/");
@@ -32,8 +32,8 @@ const isSky = (file) => SKY_FOLDER.test(folderOf(file).split("/").at(-1)) || SKY
 // The files of one model: a mesh, or a URDF file and the meshes that it names.
 export function modelFiles(files) {
   const robot = files.find((file) => ROBOTS.includes(suffixOf(file)));
-  const meshes = files.filter((file) => MESHES.includes(suffixOf(file)));
-  return robot ? [robot, ...meshes] : meshes.slice(0, 1);
+  const ofKind = (kinds) => files.filter((file) => kinds.includes(suffixOf(file)));
+  return robot ? [robot, ...ofKind(PIECES)] : ofKind(MESHES).slice(0, 1);
 }
 
 // {model: [], sky: [], frames: [], ignored}: frames and sky in the order of their numbers.

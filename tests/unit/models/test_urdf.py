@@ -176,7 +176,8 @@ def archive(compression: int, **files: bytes) -> bytes:
     [
         (SATELLITE, "'panel.stl' was not uploaded"),
         (pack_urdf(SATELLITE, {"panel.stl": b"solid"}), "STL"),
-        (pack_urdf(SATELLITE.replace(b"panel.stl", b"panel.dae"), {"panel.dae": b"x"}), "type .dae"),
+        (pack_urdf(SATELLITE.replace(b"panel.stl", b"panel.fbx"), {"panel.fbx": b"x"}), "type .fbx"),
+        (pack_urdf(SATELLITE.replace(b"panel.stl", b"panel.dae"), {"panel.dae": b"x"}), "COLLADA"),
         (b"<robot", "no element found|unclosed|not well-formed"),
         (b"<sdf/>", "not <robot>"),
         (b'<!DOCTYPE r [<!ENTITY a "b">]><robot/>', "document types"),
