@@ -52,6 +52,13 @@ class FilterParams:
     """`bootstrap`: where particles are drawn, moved and scored. `device`: on the scorer's, with random numbers of its
     own (the same law, other draws than `host`; the first frame is the host's). `auto`: there where it pays, which is
     with 5,000 particles or more on a GPU whose scorer takes them (`auto`, `outline`); else `host`."""
+    adaptive: Literal["off", "ess", "kld"] = "off"
+    """Whether a frame of an established track takes fewer: as many as make `enough_ess` effective ones (`ess`), or as
+    the bins that the posterior fills ask for (`kld`, Fox 2001)."""
+    least_particles: int = 100
+    """`adaptive` takes no fewer."""
+    enough_ess: float = 100.0
+    """What `adaptive` `ess` aims at."""
 
     def __post_init__(self) -> None:
         _require(1 <= self.particles <= 10_000_000, "particles must be between 1 and 10,000,000")
@@ -59,6 +66,9 @@ class FilterParams:
         _require(0 < self.target_ess < 1, "target_ess must lie between 0 and 1")
         on_device = self.method == "bootstrap" and self.resampler in ("multinomial", "systematic")
         _require(self.step != "device" or on_device, "step device is for bootstrap, multinomial or systematic")
+        _require(self.step != "device" or self.adaptive == "off", "step device is for a fixed number of particles")
+        _require(1 <= self.least_particles <= 10_000_000, "least_particles must be between 1 and 10,000,000")
+        _require(1 <= self.enough_ess <= 1e7, "enough_ess must be between 1 and 10,000,000")
         _require(1 <= self.moves <= 1000, "moves must be between 1 and 1000")
         _require(1 <= self.acquisition_moves <= 1000, "acquisition_moves must be between 1 and 1000")
         _require(

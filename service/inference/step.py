@@ -15,6 +15,7 @@ from service.inference.islands import pick
 from service.inference.motion import diffusion, propagate
 from service.inference.params import SessionConfig
 from service.inference.resample import RESAMPLERS
+from service.inference.sample_size import adapted
 from service.inference.state import Array, Estimate, FilterState, Frame, Outcome, Poses
 from service.inference.symmetry import Symmetry, refold, unfold
 from service.inference.tracking import track
@@ -54,6 +55,7 @@ def step(
     ``score_maps(poses, maps)`` sums each of (K, H, W) maps under each silhouette: (N, K), the per-particle term of
     Eq. 4 when the map is log c.
     """
+    config = adapted(config, state, domain)
     log_ratio = frame.measurement.log_ratio[None]
 
     def score(poses: Poses) -> Array:
