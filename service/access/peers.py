@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
-import jwt
 import structlog
 
 from service.access.principal import KeyRates, Principal, Role
@@ -39,6 +38,8 @@ class Peers:
 
     def sign(self, caller: Principal, to: str, method: str, target: str) -> str:
         """What the process ``to`` takes as: this call (``target`` is path and query) is ``caller``'s."""
+        import jwt  # a tenth of a second of every start, needed only in a cluster
+
         claims = {
             "aud": to,
             "exp": datetime.now(UTC) + _GOOD_FOR,
@@ -54,6 +55,8 @@ class Peers:
 
         ``StaleOwnerError`` for what was meant for another process: one that had this address before.
         """
+        import jwt
+
         try:
             if not self._secret:
                 raise jwt.InvalidTokenError

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from service.inference.domain import Domain
 from service.inference.rotations import spread_rotations
@@ -40,6 +39,8 @@ def find_evidence(log_ratio: Map) -> Evidence | None:
     Stars and noise make small components: those below a twentieth of the largest one are left out, unless they
     are close to it (a dim part may be broken into pieces).
     """
+    from scipy import ndimage  # the web process, which restarts fast, never comes here
+
     labels, count = ndimage.label(log_ratio > 0, structure=np.ones((3, 3)))
     if count == 0:
         return None

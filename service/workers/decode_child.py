@@ -20,6 +20,7 @@ import cv2
 import gpu.mesh_file  # noqa: F401 -- what it loads must not count as a job's memory
 from service.errors import InputError, SkyposeError
 from service.workers.decode_wire import (
+    OUT_OF_MEMORY,
     Reply,
     pack_facts,
     pack_frames,
@@ -32,7 +33,6 @@ from service.workers.decoding import InPlace
 from service.workers.limits import DecodeLimits
 
 _FILES = 64
-OUT_OF_MEMORY = 77  # exit status
 
 
 def main(descriptor: int) -> None:

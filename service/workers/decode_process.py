@@ -24,8 +24,8 @@ from service.errors import ImageError, InputError, MeshFileError, TooLargeError,
 from service.imaging.decode import ByteOrder, Frame
 from service.imaging.facts import FrameFacts
 from service.imaging.split import SplitFrame
-from service.workers.decode_child import OUT_OF_MEMORY
 from service.workers.decode_wire import (
+    OUT_OF_MEMORY,
     Reply,
     receive_reply,
     send,

@@ -25,6 +25,7 @@ from service.imaging.decode import Frame
 from service.imaging.facts import FrameFacts
 from service.imaging.split import SplitFrame
 
+OUT_OF_MEMORY = 77  # exit status of the process
 _LENGTH = struct.Struct("<Q")
 _DTYPES = ("|u1", "<u2", "<f8", "<i8")
 _REPLY_BYTES = 1 << 26  # JSON of ten thousand frames' facts is two
