@@ -20,6 +20,7 @@ BUSIER = 2  # jobs more than elsewhere, for which a session leaves a worker wher
 
 @dataclass
 class _Place:
+    out: bool = False  # takes no jobs
     load: int = 0  # jobs under way or waiting
     sessions: int = 0  # that live there
     memory: int = 0  # steps of ``MEMORY_STEP``, as the worker told last
@@ -36,32 +37,32 @@ class Placement:
     @property
     def workers(self) -> tuple[str, ...]:
         """Those that take jobs."""
-        return tuple(self._places)
+        return tuple(worker for worker, place in self._places.items() if not place.out)
 
     def add(self, worker: str) -> None:
-        """A worker that is ready, with empty caches."""
-        self._places[worker] = _Place()
+        """A worker that is ready, with empty caches: a new one, or one that was removed and began anew."""
+        place = self._places.setdefault(worker, _Place())
+        place.out, place.memory = False, 0
+        place.models.clear()
 
     def remove(self, worker: str) -> None:
-        """A worker that takes no more jobs; its sessions move with their next one."""
-        self._places.pop(worker, None)
+        """A worker that takes no more jobs; its sessions move with their next one. Those in hand still end."""
+        self._places[worker].out = True
 
     def forget(self, worker: str) -> None:
         """The worker began anew: its caches are empty."""
-        if worker in self._places:
-            self._places[worker].models.clear()
+        self._places[worker].models.clear()
 
     def weigh(self, worker: str, memory_bytes: int) -> None:
         """What a worker's processes take of memory."""
-        if worker in self._places:
-            self._places[worker].memory = memory_bytes // MEMORY_STEP
+        self._places[worker].memory = memory_bytes // MEMORY_STEP
 
     def take(self, session: str | None, model: str | None) -> str:
         """The worker for a job, which counts for its load until ``done``; ``session`` None: of no session.
 
         Raises ``LookupError`` where there is no worker.
         """
-        if not self._places:
+        if not self.workers:
             raise LookupError("no worker is left")
         worker = self._choose(None if session is None else self._homes.get(session), model)
         if session is not None:
@@ -77,8 +78,7 @@ class Placement:
 
     def done(self, worker: str) -> None:
         """A job has ended, well or not."""
-        if worker in self._places:
-            self._places[worker].load -= 1
+        self._places[worker].load -= 1
 
     def load(self, worker: str) -> int:
         """Jobs under way or waiting at a worker."""
@@ -94,8 +94,8 @@ class Placement:
             prepares = UNKNOWN_MODEL if model is not None and model not in place.models else 0
             return place.load + prepares, place.memory, len(place.models), place.sessions
 
-        best = min(self._places, key=cost)
-        if home is None or home not in self._places:
+        best = min(self.workers, key=cost)
+        if home is None or self._places[home].out:
             return best
         waiting, elsewhere = cost(home)[0], cost(best)[0]
         return best if waiting > elsewhere == 0 or waiting - elsewhere >= BUSIER else home
@@ -103,12 +103,11 @@ class Placement:
     def _settle(self, session: str, worker: str) -> None:
         before = self._homes.get(session)
         if before != worker:
-            if before in self._places:
+            if before is not None:
                 self._places[before].sessions -= 1
             self._places[worker].sessions += 1
         self._homes[session] = worker
         self._homes.move_to_end(session)
         if len(self._homes) > KNOWN_SESSIONS:
             _, left = self._homes.popitem(last=False)
-            if left in self._places:
-                self._places[left].sessions -= 1
+            self._places[left].sessions -= 1

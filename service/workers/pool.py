@@ -7,13 +7,17 @@ import os
 from dataclasses import replace
 from typing import Any, Literal
 
+import structlog
+
+from service.errors import WorkerFailedError
 from service.workers.base import PackedFrameJob
-from service.workers.child_process import Program
+from service.workers.child_process import Program, WorkerLostError
 from service.workers.device_process import DeviceProcess
 from service.workers.placement import Placement
 from service.workers.process import WorkerProcess
 from service.workers.spare import Spare
 
+log = structlog.get_logger(__name__)
 Batching = Literal["auto", "on", "off"]
 """Whether workers of this machine share a device: ``auto`` a GPU, ``on`` any."""
 
@@ -48,6 +52,7 @@ class ProcessTransport:
         *self.workers, self.side = [WorkerProcess(name, shared, timeout_s, self._spare) for name in names]
         self._by_name = {worker.name: worker for worker in self.workers}
         self._placement = Placement(self._by_name)
+        self._starts: set[asyncio.Task[None]] = set()
 
     def prestart(self) -> None:
         """Begin to bring the tracking processes up, beside whatever else the program does to start."""
@@ -87,18 +92,39 @@ class ProcessTransport:
         """Run a job of session ``key``, or beside the tracking where it is None."""
         if key is None:
             return await self.side.call(method, job)
-        name = self._placement.take(key, model_of(job))
-        worker = self._by_name[name]
-        restarts = worker.restarts
         try:
-            return await worker.call(method, job)
+            return await self._run(key, method, job)
+        except WorkerLostError:
+            try:  # another worker, which may have the session's model prepared
+                return await self._run(key, method, job)
+            except WorkerLostError as loss:
+                raise WorkerFailedError(f"two workers failed during {method}") from loss
+
+    async def _run(self, key: str, method: str, job: object) -> Any:
+        name = self._placement.take(key, model_of(job))
+        try:
+            return await self._by_name[name].call_once(method, job)
+        except WorkerLostError:
+            self._placement.forget(name)
+            if len(self._placement.workers) > 1:
+                self._placement.remove(name)
+                self._starts.add(start := asyncio.create_task(self._start_again(name)))
+                start.add_done_callback(self._starts.discard)
+            raise
         finally:
             self._placement.done(name)
-            if worker.restarts != restarts:
-                self._placement.forget(name)
+
+    async def _start_again(self, name: str) -> None:
+        """A lost worker takes jobs again once it is up; where it cannot be, its next job says so."""
+        try:
+            await self._by_name[name].start()
+        except WorkerFailedError as error:
+            log.warning("worker did not start again", worker=name, reason=str(error))
+        self._placement.add(name)
 
     async def close(self) -> None:
         """Finish what is in hand and end every process."""
+        await asyncio.gather(*self._starts)
         await asyncio.gather(*(worker.close() for worker in (*self.workers, self.side)))
         await asyncio.to_thread(self._spare.close)
         if self._device is not None:

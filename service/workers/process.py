@@ -65,6 +65,16 @@ class WorkerProcess:
 
     async def call(self, method: str, job: object) -> Any:
         """Run a job; on a loss once more in a new process, then ``WorkerFailedError``."""
+        try:
+            return await self.call_once(method, job)
+        except WorkerLostError:
+            try:
+                return await self.call_once(method, job)
+            except WorkerLostError as loss:
+                raise WorkerFailedError(f"the worker failed twice during {method}") from loss
+
+    async def call_once(self, method: str, job: object) -> Any:
+        """Run a job. Raises ``WorkerLostError`` where the process is lost over it; the next job has another."""
         if self._closing:
             raise StoppingError("the service is shutting down")
         return await self._in_thread(self._call, method, job)
@@ -81,16 +91,12 @@ class WorkerProcess:
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *args)
 
     def _call(self, method: str, job: object) -> Any:
-        message = pickle.dumps((method, job), protocol=5)
-        for last_try in (False, True):
-            child = self._up()
-            try:
-                return child.exchange(message, self._timeout_s)
-            except WorkerLostError as loss:
-                self._lose(child, method, str(loss))
-                if last_try:
-                    raise WorkerFailedError(f"the worker failed twice during {method}") from loss
-        raise AssertionError("unreachable")
+        child = self._up()
+        try:
+            return child.exchange(pickle.dumps((method, job), protocol=5), self._timeout_s)
+        except WorkerLostError as loss:
+            self._lose(child, method, str(loss))
+            raise
 
     def _up(self) -> ChildProcess:
         if self._child is None:

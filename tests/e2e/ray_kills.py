@@ -24,6 +24,7 @@ from passes import begin, box_pass, comparable  # noqa: E402
 from ray_cluster import LocalCluster, busy_actor, kill_actor, node_of, ray_cluster  # noqa: E402
 from server_process import Server  # noqa: E402
 
+NODES = 2
 VICTIMS = ("actor", "actor", "actor", "node", "web")
 
 
@@ -39,7 +40,6 @@ def strike(target: Server, cluster: LocalCluster, victim: str, delay_s: float, t
         target.start()
     elif victim == "node" and node is not None:
         cluster.kill_node(node)
-        cluster.add_node()
     elif home is not None:
         kill_actor(home)
 
@@ -62,6 +62,8 @@ def pass_through_kills(
                 acknowledged.append(comparable(put_until_answered(http, url, given.frames[n % 32])))
                 toll.answers.append(time.monotonic())
             knife.join()
+            while len(cluster.nodes) < NODES:  # Ray starts nodes in the main thread only
+                cluster.add_node()
         stored = whole_history(http, session_id)
     return check(acknowledged, stored), len(acknowledged), toll
 
@@ -69,8 +71,8 @@ def pass_through_kills(
 def run(kills: int, minutes: float, seed: int) -> dict[str, Any]:
     """The whole loop; raises ``AssertionError`` for anything lost, twice or unequal."""
     with tempfile.TemporaryDirectory() as folder:
-        with ray_cluster(2) as cluster:
-            chosen = {"engine": "ray", "ray_address": cluster.address, "ray_actors": 2, "log_level": "error"}
+        with ray_cluster(NODES) as cluster:
+            chosen = {"engine": "ray", "ray_address": cluster.address, "ray_actors": NODES, "log_level": "error"}
             target = Server(Path(folder) / "killed", **chosen)
             target.start()
             try:

@@ -50,10 +50,11 @@ def test_lost_worker_is_left_and_one_begun_anew_knows_no_model():
     assert placement.take("s", "m") == "a"
     placement.remove("a")
     assert placement.take("s", "m") == "b"
-    placement.done("a")  # the job that it took along
     placement.forget("b")
     placement.add("a")
+    placement.done("a")  # the job that it took along ends later
     assert placement.take("t", "m") == "a"
+    assert placement.load("a") == 1
     placement.remove("a")
     placement.remove("b")
     with pytest.raises(LookupError):

@@ -166,3 +166,20 @@ async def test_spare_that_cannot_be_built_is_done_without():
     spare.close()
     spare.fill()
     assert spare.take() is None
+
+
+async def test_job_of_a_lost_worker_goes_to_another_while_it_starts_again(tmp_path):
+    transport = ProcessTransport(Program(FACTORY_OF_AWKWARD), 2, 60.0)
+    try:
+        await transport.start()
+        first = await transport.call("a", "overlay", "pid")
+        pids = {process["name"]: process["pid"] for process in transport.processes()}
+        second = await transport.call("a", "overlay", ("once", str(tmp_path / "marks")))
+        assert first != second == next(pids[name] for name in ("track-0", "track-1") if pids[name] != first)
+        assert await transport.call("a", "overlay", "pid") == second
+        with pytest.raises(WorkerFailedError):
+            await transport.call("a", "overlay", "die")
+        assert transport.restarts == 3
+        assert await transport.call("a", "overlay", "pid")
+    finally:
+        await transport.close()
