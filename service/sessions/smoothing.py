@@ -28,7 +28,7 @@ from service.store.scope import SessionKey, model_key
 from service.workers.base import SmoothJob
 from service.workers.engine import Engine
 
-AHEAD = 2000  # frames smoothed at once for the pages that follow: some megabytes
+AHEAD = 1000  # frames smoothed at once for the pages that follow: some megabytes, and two thirds more time at most
 KEPT = 8
 
 

@@ -1,9 +1,11 @@
 """`GET …/estimates?smoothed=true`: the same frames, each with what came after taken into account."""
 
+from typing import ClassVar
+
 import numpy as np
 import pytest
 from api_client import PNG, running
-from fake_worker import CUBE
+from fake_worker import CUBE, FakeWorker
 
 from gpu.mesh import load_mesh
 from service.simulate.folder import encode_png
@@ -31,6 +33,32 @@ async def test_without_anything_known_the_filters_answer_stays(api):
     assert rest["next"] is None
     assert (await api.http.get(f"{here}?smoothed=true&after=9")).json() == {"estimates": [], "next": None}
     assert (await api.http.get("/v1/sessions/none/estimates?smoothed=true")).status_code == 404
+
+
+class Counting(FakeWorker):
+    """Notes how many frames each smoothing goes back over."""
+
+    lengths: ClassVar[list[int]] = []
+
+    def smooth(self, job):
+        self.lengths.append(len(job.beliefs))
+        return super().smooth(job)
+
+
+async def test_pages_come_out_of_one_way_back(make_app):
+    Counting.lengths.clear()
+    async with running(make_app(Counting)) as api:
+        session_id = await api.ready_session(CUBE)
+        for n in range(6):
+            await api.post(session_id, n)
+        url = f"/v1/sessions/{session_id}/estimates?smoothed=true&limit=2"
+        while url:
+            url = (await api.http.get(url)).json()["next"]
+        assert Counting.lengths == [6]
+        await api.post(session_id, 6)  # another stand: all is smoothed anew
+        await api.http.get(f"/v1/sessions/{session_id}/estimates?smoothed=true&after=3")
+        await api.http.get(f"/v1/sessions/{session_id}/estimates?smoothed=true&after=1")  # more than is there
+        assert Counting.lengths == [6, 3, 5]
 
 
 async def simulated_session(api) -> str:
