@@ -28,7 +28,7 @@ from service.workers.ray_worker import RayWorker, WorkerPlan
 
 log = structlog.get_logger(__name__)
 MOST_TRIES = 4
-BY_REFERENCE_BYTES = 64 << 10  # longer messages go into the object store, once for all tries
+BY_REFERENCE_BYTES = 100 << 10  # longer messages go into the object store, once for all tries; Ray's own limit
 ANSWER_S = 10.0  # beyond two times a job's timeout, after which an actor that says nothing is ended
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0  # between tries to have an actor
 

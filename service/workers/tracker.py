@@ -75,6 +75,8 @@ PACKAGES = (
     "fastapi",
 )
 
+SKIES, SKY_BYTES = 1000, 512 << 20  # kept: every session has its own
+
 
 class Tracker:
     """Implements ``service.workers.base.Worker``."""
@@ -92,7 +94,7 @@ class Tracker:
         self._meshes: Cache[Mesh] = Cache(cached_models)
         self._scorers = Scorers(cached_models, opener=opener)
         self._steps = ResidentSteps(cached_models)
-        self._skies: Cache[Sky] = Cache(cached_models)
+        self._skies: Cache[Sky] = Cache(SKIES, weigh=sky_bytes, most_bytes=SKY_BYTES)
         self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
 
     def prepare_model(self, job: ModelJob) -> ModelReport:
@@ -269,6 +271,11 @@ def _blob(blobs: Mapping[str, bytes], key: str) -> bytes:
 
 def _sky(config: SessionConfig, blob: bytes) -> Sky:
     return derive(Background.from_bytes(blob), config.likelihood.feature, config.likelihood.gradient_sigma_px)
+
+
+def sky_bytes(sky: Sky) -> int:
+    """Memory that a sky takes."""
+    return sky.mean.nbytes + sky.known.nbytes + sky.log_density.nbytes
 
 
 def _require_size(image: Image, size: tuple[int, int] | None) -> tuple[int, int]:
