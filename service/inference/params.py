@@ -103,6 +103,9 @@ class LikelihoodParams:
     """`contrast`: price of one pixel of background under the silhouette."""
     uncovered_bright_nats: float = 3.0
     """`contrast`: price of one pixel of light left outside of the silhouette."""
+    edge_nats_per_px: float = 1.3
+    """`contrast`: while tracking that price begins at `covered_empty_nats` and rises so fast from the edge of the light
+    inwards. With two different prices at the edge itself the silhouette that fits best is too large."""
 
     def __post_init__(self) -> None:
         _require(0.1 <= self.gradient_sigma_px <= 50, "gradient_sigma_px must be between 0.1 and 50")
@@ -110,6 +113,7 @@ class LikelihoodParams:
         _require(1e-3 <= self.misfit_nats <= 1e9, "misfit_nats must be between 0.001 and 1e9")
         _require(0 < self.mode_exponent <= 1, "mode_exponent must lie in (0, 1]")
         _require(0 < self.covered_empty_nats <= 100, "covered_empty_nats must lie in (0, 100]")
+        _require(1e-3 <= self.edge_nats_per_px <= 1e9, "edge_nats_per_px must be between 0.001 and 1e9")
         _require(0 < self.uncovered_bright_nats <= 100, "uncovered_bright_nats must lie in (0, 100]")
 
 

@@ -13,6 +13,7 @@ from service.imaging.decode import Frame as Image
 from service.imaging.measurement import FrameMaps, log_constant, measure
 from service.imaging.region import Region, first_region, learn_region, region_log_ratio
 from service.inference.params import SessionConfig
+from service.inference.tracking import ESTABLISHED_FRAMES
 
 Memory = Mapping[str, NDArray[np.generic]]
 
@@ -40,6 +41,7 @@ def observe(image: Image, sky: Sky, config: SessionConfig, memory: Memory) -> Ob
         else:
             log_ratio = region_log_ratio(image.image, image.bits, region)
         return Observation(FrameMaps(log_ratio, log_background, None), region)
+    age = float(np.asarray(memory.get("age", 0.0)))
     maps = measure(
         image.image,
         sky,
@@ -48,6 +50,7 @@ def observe(image: Image, sky: Sky, config: SessionConfig, memory: Memory) -> Ob
         usual_psf_sigma_px=float(np.asarray(memory["psf_sigma_px"])) if "psf_sigma_px" in memory else None,
         covered_empty_nats=likelihood.covered_empty_nats,
         uncovered_bright_nats=likelihood.uncovered_bright_nats,
+        edge_nats_per_px=likelihood.edge_nats_per_px if age >= ESTABLISHED_FRAMES else np.inf,
     )
     return Observation(maps, None)
 

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from service.imaging.background import FLOOR, Sky, derive, learn
 from service.imaging.features import feature_spec
-from service.imaging.measurement import FrameMaps, histogram_log_ratio, log_total, measure
+from service.imaging.measurement import FrameMaps, even_edge, histogram_log_ratio, log_total, measure
 
 SIZE = 96
 CENTRE = (48.3, 47.6)
@@ -168,3 +168,30 @@ def test_a_large_object_does_not_make_light_of_the_sky(radius, sigma):
     image = frame(120 * cv2.GaussianBlur(disc(radius), (0, 0), sigma), 99)
     log_ratio = maps(image, sky, psf_sigma_px=sigma).log_ratio
     assert np.mean(log_ratio[disc(radius + 4 * sigma + 2) == 0] > 0) < 0.02
+
+
+def test_the_edge_costs_alike_on_both_sides():
+    """The first pixel of light costs as much as the first of dark, each further one 1.3 nats more; dark stays."""
+    log_ratio = np.full((9, 9), -0.5, np.float32)
+    log_ratio[:, 4:] = 3.0
+    row = even_edge(log_ratio, 0.5, 1.3)[4]
+    np.testing.assert_allclose(row[:4], -0.5)
+    assert 0.5 <= row[4] <= 0.5 + 1.3
+    assert np.all(np.diff(row[4:7]) > 0)
+    assert row[8] == 3.0
+
+
+def test_uneven_prices_make_the_best_disc_too_large_and_even_ones_do_not():
+    """Ragged light: the edge scatters by a pixel or two. The radius of highest sum is that of the middle edge."""
+    rng = np.random.default_rng(2)
+    g = np.arange(160) + 0.5 - 80
+    radius, angle = np.hypot(g, g[:, None]), np.arctan2(g[:, None], g)
+    ragged = 40 + 1.5 * np.interp(angle, np.linspace(-np.pi, np.pi, 90), rng.standard_normal(90))
+    log_ratio = np.where(radius < ragged, 3.0, -0.5).astype(np.float32)
+    radii = np.arange(36, 45, 0.05)
+
+    def best(values: np.ndarray) -> float:
+        return float(radii[np.argmax([values[radius < r].sum() for r in radii])])
+
+    assert best(log_ratio) > 41.0
+    assert abs(best(even_edge(log_ratio, 0.5, 1.3)) - 40) < 0.7 * (best(log_ratio) - 40)
