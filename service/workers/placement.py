@@ -57,14 +57,14 @@ class Placement:
         """What a worker's processes take of memory."""
         self._places[worker].memory = memory_bytes // MEMORY_STEP
 
-    def take(self, session: str | None, model: str | None) -> str:
+    def take(self, session: str | None, model: str | None, avoid: str | None = None) -> str:
         """The worker for a job, which counts for its load until ``done``; ``session`` None: of no session.
 
-        Raises ``LookupError`` where there is no worker.
+        ``avoid`` gets it only where there is no other. Raises ``LookupError`` where there is no worker.
         """
         if not self.workers:
             raise LookupError("no worker is left")
-        worker = self._choose(None if session is None else self._homes.get(session), model)
+        worker = self._choose(None if session is None else self._homes.get(session), model, avoid)
         if session is not None:
             self._settle(session, worker)
         place = self._places[worker]
@@ -88,14 +88,14 @@ class Placement:
         """Sessions that live at a worker."""
         return self._places[worker].sessions
 
-    def _choose(self, home: str | None, model: str | None) -> str:
+    def _choose(self, home: str | None, model: str | None, avoid: str | None) -> str:
         def cost(worker: str) -> tuple[int, int, int, int]:
             place = self._places[worker]
             prepares = UNKNOWN_MODEL if model is not None and model not in place.models else 0
             return place.load + prepares, place.memory, len(place.models), place.sessions
 
-        best = min(self.workers, key=cost)
-        if home is None or self._places[home].out:
+        best = min([worker for worker in self.workers if worker != avoid] or self.workers, key=cost)
+        if home is None or home == avoid or self._places[home].out:
             return best
         waiting, elsewhere = cost(home)[0], cost(best)[0]
         return best if waiting > elsewhere == 0 or waiting - elsewhere >= BUSIER else home

@@ -19,7 +19,7 @@ os.environ.setdefault("RAY_DEDUP_LOGS", "0")
 
 import ray
 import structlog
-from ray.exceptions import RayError
+from ray.exceptions import RayError, RayTaskError
 
 from service.errors import StoppingError, WorkerFailedError
 from service.workers.placement import Placement
@@ -28,6 +28,7 @@ from service.workers.ray_worker import RayWorker, WorkerPlan
 
 log = structlog.get_logger(__name__)
 MOST_TRIES = 4
+MOST_FAILURES = 3
 BY_REFERENCE_BYTES = 100 << 10  # longer messages go into the object store, once for all tries; Ray's own limit
 ANSWER_S = 10.0  # beyond two times a job's timeout, after which an actor that says nothing is ended
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0  # between tries to have an actor
@@ -49,6 +50,7 @@ class _Actor:
     handle: Any
     facts: Mapping[str, Any]  # pid, host, node
     memory_bytes: int = 0
+    failures: int = 0  # jobs in a row
 
 
 class RayTransport:
@@ -159,20 +161,28 @@ class RayTransport:
 
     async def _try(self, key: str | None, method: str, model: str | None, sent: Any) -> Any:
         last: BaseException | None = None
+        failed: _Actor | None = None
         for _ in range(MOST_TRIES):
             try:
                 await asyncio.wait_for(self._some_ready(), self._plan.start_timeout_s)
             except TimeoutError as error:
                 raise WorkerFailedError("no worker is left, and none could be had") from error
-            actor = self._actors[self._placement.take(key, model)]
+            actor = self._actors[self._placement.take(key, model, None if failed is None else failed.name)]
             try:
                 answered = await asyncio.wait_for(actor.handle.call.remote(sent), self._patience_s())
+            except RayTaskError as error:
+                self._note_failure(actor, method, error)
+                if failed is not None:
+                    raise WorkerFailedError(f"two workers failed during {method}") from error
+                failed = actor
+                continue
             except (RayError, TimeoutError) as error:
                 last = error
                 self._lose(actor, method, error)
                 continue
             finally:
                 self._placement.done(actor.name)
+            actor.failures = 0
             refusal, answer, actor.memory_bytes = pickle.loads(answered)
             self._placement.weigh(actor.name, actor.memory_bytes)
             if refusal is not None:
@@ -182,6 +192,13 @@ class RayTransport:
 
     def _patience_s(self) -> float:
         return 2 * self._worker.timeout_s + ANSWER_S
+
+    def _note_failure(self, actor: _Actor, method: str, error: RayTaskError) -> None:
+        """The actor lives, but its processes died over a job: the job's fault, unless it goes on like that."""
+        log.warning("worker actor failed", worker=actor.name, method=method, reason=_line(error))
+        actor.failures += 1
+        if actor.failures == MOST_FAILURES:
+            self._lose(actor, method, error)
 
     def _lose(self, actor: _Actor, method: str, error: BaseException) -> None:
         """Take no more of its answers, and have it replaced. Jobs that it had at the same time come here too."""

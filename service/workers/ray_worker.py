@@ -56,7 +56,7 @@ class RayWorker:
         try:
             answer = await self._pool.call(session, method, job)
         except WorkerFailedError:
-            raise  # it has been tried twice here: somewhere else it may go well
+            raise  # it has been tried twice here: elsewhere it may go well
         except SkyposeError as error:
             refusal = error
         return pickle.dumps((refusal, answer, self._memory()), protocol=5)

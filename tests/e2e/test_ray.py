@@ -65,6 +65,7 @@ def test_actors_answer_refuse_and_are_replaced(cluster, tmp_path):
             assert transport.restarts == 1
             with pytest.raises(WorkerFailedError):
                 await transport.call("s", "overlay", "die")
+            assert transport.restarts == 1  # the job's fault: no actor is given up for it
             assert await transport.call("s", "overlay", "pid")
             names = [actor["name"] for actor in transport.processes()]
             assert names == ["track-0", "track-1"]

@@ -67,3 +67,11 @@ def test_as_many_models_count_as_known_as_a_worker_keeps():
         placement.done(placement.take("s", f"m{n}"))
     placement.add("b")
     assert placement.take("t", "m0") == "b"
+
+
+def test_worker_to_be_avoided_gets_a_job_only_where_it_is_the_last():
+    placement = Placement(["a", "b"])
+    placement.done(placement.take("s", "m"))
+    assert placement.take("s", "m", avoid="a") == "b"
+    placement.remove("b")
+    assert placement.take("s", "m", avoid="a") == "a"
