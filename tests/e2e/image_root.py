@@ -6,7 +6,9 @@ volumes that the image declares and /tmp are empty file systems, and the command
 
 import json
 import os
+import random
 import signal
+import socket
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,6 +38,18 @@ def buildah(*arguments: str) -> str:
     return subprocess.run(
         ["buildah", *arguments], env=STORAGE, check=True, capture_output=True, text=True, timeout=300
     ).stdout
+
+
+def lasting_port() -> int:
+    """A free port below those that the system gives to outgoing connections: nobody gets it before the service does."""
+    for port in random.sample(range(20_000, 30_000), 100):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return port
+    raise OSError("no port is free")
 
 
 def can_mount() -> bool:

@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from image_root import ImageRoot, buildah, can_mount, mounted, running
+from image_root import ImageRoot, buildah, can_mount, lasting_port, mounted, running
 
 from service.cli.demo_pass import DemoPass, judge
 from service.cli.model_file import read_model_file
@@ -64,9 +63,7 @@ def files(image: str) -> Iterator[ImageRoot]:
 @pytest.fixture(scope="module")
 def url(builder: Path, files: ImageRoot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A service started from the image; its root is read-only where mounts are allowed."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = lasting_port()
     words = ["skypose", "serve", "--host", "127.0.0.1", "--port", str(port), "--data", "/data"]
     command = files.command(*words) if can_mount() else [str(builder), "--run", TAG, *words]
     log = tmp_path_factory.mktemp("container") / "service.log"

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -15,6 +14,7 @@ import httpx
 import pytest
 import yaml
 from fake_worker import CUBE
+from image_root import lasting_port
 from passes import fake_pass
 from postgres_server import Postgres
 from server_process import Server
@@ -58,9 +58,7 @@ def processes(tmp_path_factory: pytest.TempPathFactory, database_url: str) -> It
 def address(root: Path, processes: list[Server], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Where the proxy takes calls. Its configuration is the cluster's but for addresses and ports."""
     folder = tmp_path_factory.mktemp("proxy")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = lasting_port()
     text = (root / "deploy" / "cluster" / "Caddyfile").read_text()
     upstreams = " ".join(f"127.0.0.1:{server.port}" for server in processes)
     assert "web-1:8000 web-2:8000" in text
