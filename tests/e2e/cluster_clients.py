@@ -30,7 +30,7 @@ def fake_session(url: str) -> str:
 
 
 class Client:
-    """Posts one session's frames in order, each to either process, until it is answered."""
+    """Posts one session's frames in order, each to either process and, where that does not answer, to the other."""
 
     def __init__(self, urls: list[str], session: str, seed: int) -> None:
         self.session = session
@@ -95,11 +95,13 @@ class Client:
 
     def _answer(self, n: int) -> dict:
         until = time.monotonic() + _LIMIT_S
+        turn = self._dice.randrange(len(self._urls))
         while time.monotonic() < until:
-            url = f"{self._dice.choice(self._urls)}/v1/sessions/{self.session}/frames/{n}"
+            url = f"{self._urls[turn % len(self._urls)]}/v1/sessions/{self.session}/frames/{n}"
             try:
                 answer = self._http.put(url, content=GIVEN.frames[n % len(GIVEN.frames)], headers=PNG)
             except httpx.TransportError:
+                turn += 1
                 continue
             if answer.status_code == 200:
                 return answer.json()

@@ -42,7 +42,8 @@ class Toll:
     """What was done, and how long clients then waited."""
 
     kills: Counter[str] = field(default_factory=Counter)
-    takeovers: list[float] = field(default_factory=list)
+    takeovers: list[float] = field(default_factory=list)  # the other process was up
+    outages: list[float] = field(default_factory=list)  # it was being started again, or killed too
     pauses: list[float] = field(default_factory=list)
     moves: list[float] = field(default_factory=list)
     restarts: list[float] = field(default_factory=list)
@@ -118,7 +119,7 @@ def strike(cluster: Cluster, how: str, clients: list[Client], dice: random.Rando
     for client in clients:
         waited = client.answered_after(moment) - moment
         if owners[client.session] in killed:
-            toll.takeovers.append(waited)
+            (toll.takeovers if len(killed) < len(up) else toll.outages).append(waited)
 
 
 def _workers(web: Server) -> list[int]:
@@ -222,6 +223,7 @@ def report(cluster: Cluster, clients: list[Client], toll: Toll, folder: Path) ->
         "writes_fenced_off": cluster.fenced(),
         "replay_equal": unequal == 0,
         "takeover_s": _shares(toll.takeovers),
+        "nobody_left_s": _shares(toll.outages),
         "paused_owner_s": _shares(toll.pauses),
         "database_restart_s": _shares(toll.restarts),
         "move_delay_s": _shares(toll.moves),
