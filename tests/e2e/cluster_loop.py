@@ -1,6 +1,7 @@
 """Two web processes on one PostgreSQL, and everything that can happen to them while several sessions are tracked.
 
     python tests/e2e/cluster_loop.py --kills 500 [--minutes 60] [--sessions 4] [--seed 1] [--json FILE]
+    python tests/e2e/cluster_loop.py --kills 20 --one-by-one      # web processes only, the next when both are up again
 
 SIGKILL of web processes and workers at random moments (a supervisor starts a web process again at once), a crash of
 the database, owners stopped (SIGSTOP) for longer than their lease and continued, sessions moved while in use. Clients
@@ -167,12 +168,16 @@ def restart(cluster: Cluster, clients: list[Client], toll: Toll) -> None:
     toll.restarts += [client.answered_after(moment) - moment for client in clients]
 
 
-def pass_through(cluster: Cluster, clients: list[Client], kills: int, until: float, seed: int) -> Toll:
+def pass_through(
+    cluster: Cluster, clients: list[Client], kills: int, until: float, seed: int, one_by_one: bool
+) -> Toll:
     """All of it: a pause and a move now and then, one restart of the database in the middle."""
     dice, toll, rounds = random.Random(seed), Toll(), 0
     every = max(3, min(25, kills // 3))
     while sum(toll.kills.values()) < kills and time.monotonic() < until:
-        strike(cluster, dice.choice(STRIKES), clients, dice, toll)
+        if one_by_one:
+            cluster.all_up()
+        strike(cluster, "web" if one_by_one else dice.choice(STRIKES), clients, dice, toll)
         rounds += 1
         if rounds % every == 1:
             pause(cluster, clients, toll)
@@ -236,7 +241,13 @@ def _shares(times: list[float]) -> dict[str, float]:
 
 
 def run(
-    kills: int, minutes: float, n_sessions: int, seed: int, postgres: Postgres, lease_s: float = 2.0
+    kills: int,
+    minutes: float,
+    n_sessions: int,
+    seed: int,
+    postgres: Postgres,
+    lease_s: float = 2.0,
+    one_by_one: bool = False,
 ) -> dict[str, Any]:
     """The whole loop, on a server that is running."""
     with tempfile.TemporaryDirectory() as name:
@@ -248,7 +259,7 @@ def run(
         try:
             for client in clients:
                 client.start()
-            toll = pass_through(cluster, clients, kills, time.monotonic() + 60 * minutes, seed)
+            toll = pass_through(cluster, clients, kills, time.monotonic() + 60 * minutes, seed, one_by_one)
             for client in clients:
                 client.stop()
             return report(cluster, clients, toll, folder)
@@ -270,11 +281,12 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=120.0, help="stop after so long, with fewer kills")
     parser.add_argument("--sessions", type=int, default=4)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--one-by-one", action="store_true")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     postgres = Postgres(durable=True)
     try:
-        figures = run(given.kills, given.minutes, given.sessions, given.seed, postgres)
+        figures = run(given.kills, given.minutes, given.sessions, given.seed, postgres, one_by_one=given.one_by_one)
     finally:
         postgres.close()
     text = json.dumps(figures, indent=1)
