@@ -236,7 +236,7 @@ async def test_text_that_cannot_be_stored_is_the_callers_fault(database):
 async def test_a_server_that_is_not_there_is_waited_for_and_then_named():
     url = "postgresql://nobody:secret@127.0.0.1:1/none"
     database = PostgresDatabase(url, sender="me", connections=1, reader_threads=1, wait_s=0.1, idle_s=1)
-    with pytest.raises(StorageError, match="127.0.0.1") as refused:
+    with pytest.raises(StorageError, match="refused") as refused:
         await database.open()
     assert "secret" not in refused.value.detail
     await database.close()
