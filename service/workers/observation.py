@@ -13,7 +13,7 @@ from service.imaging.decode import Frame as Image
 from service.imaging.measurement import FrameMaps, log_constant, measure
 from service.imaging.region import Region, first_region, learn_region, region_log_ratio
 from service.inference.params import SessionConfig
-from service.inference.tracking import ESTABLISHED_FRAMES
+from service.inference.tracking import ESTABLISHED_FRAMES, RENEW_FRAMES
 
 Memory = Mapping[str, NDArray[np.generic]]
 
@@ -42,6 +42,8 @@ def observe(image: Image, sky: Sky, config: SessionConfig, memory: Memory) -> Ob
             log_ratio = region_log_ratio(image.image, image.bits, region)
         return Observation(FrameMaps(log_ratio, log_background, None), region)
     age = float(np.asarray(memory.get("age", 0.0)))
+    # Where the whole space is searched unlike prices are right: they find bodies that are half in shadow.
+    searched = age < ESTABLISHED_FRAMES or age % RENEW_FRAMES == 0
     maps = measure(
         image.image,
         sky,
@@ -50,7 +52,7 @@ def observe(image: Image, sky: Sky, config: SessionConfig, memory: Memory) -> Ob
         usual_psf_sigma_px=float(np.asarray(memory["psf_sigma_px"])) if "psf_sigma_px" in memory else None,
         covered_empty_nats=likelihood.covered_empty_nats,
         uncovered_bright_nats=likelihood.uncovered_bright_nats,
-        edge_nats_per_px=likelihood.edge_nats_per_px if age >= ESTABLISHED_FRAMES else np.inf,
+        edge_nats_per_px=np.inf if searched else likelihood.edge_nats_per_px,
     )
     return Observation(maps, None)
 

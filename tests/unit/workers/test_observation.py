@@ -164,3 +164,11 @@ def test_the_memory_can_be_stored(boxed_sky):
     }
     maps = [observe(picture(2), boxed_sky, config(), m).maps.log_ratio for m in (memory, stored)]
     assert maps[0].tobytes() == maps[1].tobytes()
+
+
+@pytest.mark.parametrize(("age", "even"), [(0.0, False), (2.0, False), (3.0, True), (9.0, True), (10.0, False)])
+def test_the_edge_costs_alike_only_where_a_track_is_followed(empty_sky, age, even):
+    """Searches need the unlike prices."""
+    log_ratio = observe(picture(7), empty_sky, config(), {"age": np.array(age)}).maps.log_ratio
+    edge = ndimage.binary_dilation(log_ratio <= 0) & (log_ratio > 0)  # its pixels touch the dark
+    assert (float(log_ratio[edge].max()) < 0.5 + 1.3) == even
