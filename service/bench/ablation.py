@@ -45,7 +45,7 @@ VARIANTS = (
     ),
     Variant("starts", "a tenth of the starts when nothing is known", {"filter": {"acquisition_particles": 600}}),
     Variant("particles", "a quarter of the particles", {"filter": {"particles": 250}}),
-    Variant("ess", "while tracking, as many particles as make 100 effective", {"filter": {"adaptive": "ess"}}),
+    Variant("adaptive", "1,000 particles in every frame", {"filter": {"adaptive": "off"}}),
     Variant("kld", "while tracking, as many particles as KLD-sampling asks for", {"filter": {"adaptive": "kld"}}),
     Variant("resampler", "multinomial instead of systematic", {"filter": {"resampler": "multinomial"}}),
     Variant("paper", "the published method", {"filter": {"preset": "paper"}}),

@@ -54,7 +54,7 @@ class FilterParams:
     with 5,000 particles or more on a GPU whose scorer takes them (`auto`, `outline`); else `host`."""
     adaptive: Literal["off", "ess", "kld"] = "off"
     """Whether a frame of an established track takes fewer: as many as make `enough_ess` effective ones (`ess`), or as
-    the bins that the posterior fills ask for (`kld`, Fox 2001)."""
+    the bins that the posterior fills ask for (`kld`, Fox 2001). Not for steps on the device. `balanced`: `ess`."""
     least_particles: int = 100
     """`adaptive` takes no fewer."""
     enough_ess: float = 100.0
@@ -66,7 +66,6 @@ class FilterParams:
         _require(0 < self.target_ess < 1, "target_ess must lie between 0 and 1")
         on_device = self.method == "bootstrap" and self.resampler in ("multinomial", "systematic")
         _require(self.step != "device" or on_device, "step device is for bootstrap, multinomial or systematic")
-        _require(self.step != "device" or self.adaptive == "off", "step device is for a fixed number of particles")
         _require(1 <= self.least_particles <= 10_000_000, "least_particles must be between 1 and 10,000,000")
         _require(1 <= self.enough_ess <= 1e7, "enough_ess must be between 1 and 10,000,000")
         _require(1 <= self.moves <= 1000, "moves must be between 1 and 1000")
@@ -103,7 +102,7 @@ class LikelihoodParams:
     """`contrast`: price of one pixel of background under the silhouette."""
     uncovered_bright_nats: float = 3.0
     """`contrast`: price of one pixel of light left outside of the silhouette."""
-    edge_nats_per_px: float = 1.3
+    edge_nats_per_px: float = 0.6
     """`contrast`: while tracking that price begins at `covered_empty_nats` and rises so fast from the edge of the light
     inwards. With two different prices at the edge itself the silhouette that fits best is too large."""
 
@@ -271,6 +270,7 @@ _PAPER: Mapping[str, Mapping[str, Any]] = {
     "likelihood": {"kind": "histogram", "exponent": 1.0},
     "motion": {"kind": "jitter", "rotation_deg": 6.0, "position": 0.03, "log_scale": 0.03, "joint_deg": 10.0},
 }
+_BALANCED: Mapping[str, Mapping[str, Any]] = {"filter": {"adaptive": "ess"}}
 
 
 def preset_defaults(preset: str) -> Mapping[str, Mapping[str, Any]]:
@@ -278,5 +278,5 @@ def preset_defaults(preset: str) -> Mapping[str, Mapping[str, Any]]:
     if preset == "paper":
         return _PAPER
     if preset == "balanced":
-        return {}
+        return _BALANCED
     raise ValueError(f"unknown preset {preset!r}; there are balanced and paper")

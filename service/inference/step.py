@@ -55,7 +55,8 @@ def step(
     ``score_maps(poses, maps)`` sums each of (K, H, W) maps under each silhouette: (N, K), the per-particle term of
     Eq. 4 when the map is log c.
     """
-    config = adapted(config, state, domain)
+    if bootstrap is None:  # what stays on a device keeps its number
+        config = adapted(config, state, domain)
     log_ratio = frame.measurement.log_ratio[None]
 
     def score(poses: Poses) -> Array:

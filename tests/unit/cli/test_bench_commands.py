@@ -82,9 +82,10 @@ def test_settings_reach_every_session_and_variants_win():
     }
     for entry in entries_of(["balanced", "paper"], ["filter.seed=3"]):
         assert (entry.config.filter.preset, entry.config.filter.seed) == (entry.name, 3)
-    found = {entry.name: entry for entry in variant_entries((), ["filter.moves=4"])}
+    found = {entry.name: entry for entry in variant_entries((), ["filter.acquisition_particles=400"])}
     assert list(found) == [variant.name for variant in VARIANTS]
-    assert (found["default"].config.filter.moves, found["moves"].config.filter.moves) == (4, 1)
+    starts = [found[name].config.filter.acquisition_particles for name in ("default", "starts")]
+    assert starts == [400, 600]
     assert found["paper"].config.filter.particles == 3000
     assert not found["twins"].twins
     changed = [entry for entry in found.values() if (entry.config, entry.twins) != (found["default"].config, True)]

@@ -65,8 +65,3 @@ def test_bounds_and_what_is_not_tracked(rule):
 def test_a_wide_posterior_takes_all_of_them():
     config = SessionConfig(FilterParams(particles=900, adaptive="kld"))
     assert adapted(config, state(1.0), DOMAIN).filter.particles == 900
-
-
-def test_the_device_keeps_its_number():
-    with pytest.raises(ValueError, match="fixed number"):
-        FilterParams(method="bootstrap", resampler="multinomial", step="device", adaptive="kld")
