@@ -115,7 +115,9 @@ class RayTransport:
         await asyncio.to_thread(ray.shutdown)
 
     def _join(self) -> None:
-        given: dict[str, Any] = {"address": self._plan.address} if self._plan.address else {"include_dashboard": False}
+        given: dict[str, Any] = (
+            {"address": self._plan.address} if self._plan.address else {"address": "local", "include_dashboard": False}
+        )
         try:
             ray.init(**given, log_to_driver=False, configure_logging=False, namespace="skypose")
         except (ConnectionError, RuntimeError, ValueError) as error:
