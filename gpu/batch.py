@@ -14,14 +14,13 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.clusters import build_table
-from gpu.device import DeviceReport, open_device
+from gpu.device import DeviceReport
 from gpu.errors import ScorerError
 from gpu.looping import Transforms
 from gpu.mesh import Mesh
-from gpu.occlusion import Occlusion
-from gpu.outline_cpu import CpuOutline, DeviceTable, unresolved
+from gpu.outline_cpu import CpuOutline, unresolved
 from gpu.outline_gpu import GpuOutline
+from gpu.outline_kernels import open_kernels
 from gpu.program import constant, device_errors
 
 KEPT_SHAPES = 4
@@ -47,12 +46,8 @@ class BatchOutline:
         self.launches = 0
         self._parts = len(mesh.parts)
         with device_errors(self.name):
-            self.queue = cl.CommandQueue(cl.Context([open_device(report)]))
-            table = build_table(mesh, Occlusion(self.queue).hidden_pieces)
-            on_device = DeviceTable.upload(self.queue.context, table, self._parts)
-            self._by_group = GpuOutline(self.queue, on_device)
-            use_cpu = (kernel or report.kind) == "cpu"
-            self._by_item = CpuOutline(self.queue, on_device) if use_cpu else None
+            kernels = open_kernels(mesh, report, kernel)
+            self.queue, self._by_group, self._by_item = kernels.queue, kernels.by_group, kernels.by_item
         self._maps: dict[int, NDArray[np.int32] | None] = {}  # by slot, as they came
         self._sets: OrderedDict[Shape, _Sets] = OrderedDict()
 

@@ -7,14 +7,12 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.budget import batches
-from gpu.clusters import build_table
-from gpu.device import DeviceReport, open_device
+from gpu.device import DeviceReport
 from gpu.errors import ImageSizeError, ScorerError
 from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
-from gpu.occlusion import Occlusion
-from gpu.outline_cpu import CpuOutline, DeviceTable, unresolved
-from gpu.outline_gpu import GpuOutline
+from gpu.outline_cpu import CpuOutline, unresolved
+from gpu.outline_kernels import open_kernels
 from gpu.prefix import MapCache, PrefixMaps
 from gpu.program import constant, device_errors
 from gpu.shifts import ShiftGrid
@@ -34,12 +32,8 @@ class OutlineScorer(LoopingScorer):
         self._parts = len(mesh.parts)
         self._each = TRANSFORM_BYTES * self._parts
         with device_errors(self.name):
-            self.queue = cl.CommandQueue(cl.Context([open_device(report)]))
-            table = build_table(mesh, Occlusion(self.queue).hidden_pieces)
-            on_device = DeviceTable.upload(self.queue.context, table, self._parts)
-            self._by_group = GpuOutline(self.queue, on_device)
-            use_cpu = (kernel or report.kind) == "cpu"
-            self._by_item = CpuOutline(self.queue, on_device) if use_cpu else None
+            kernels = open_kernels(mesh, report, kernel)
+            self.queue, self._by_group, self._by_item = kernels.queue, kernels.by_group, kernels.by_item
             self._maps = MapCache(self.queue.context)
 
     def score(self, part_transforms: Transforms, log_ratio: Map) -> Floats:

@@ -55,13 +55,18 @@ def track(
     known = float(update.recall("age", 0.0)) > 0
     established = state is not None and state.status == "tracking"
     draws = follow(update) if known else None
-    renew = known and float(update.recall("age", 0.0)) % RENEW_FRAMES == 0
+    renew = known and renewal_due(float(update.recall("age", 0.0)))
     if draws is None or not established or renew or not supported(update, draws):
         glance = draws is not None and established and supported(update, draws)
         draws = likeliest_twin(update, search(update, evidence, draws, glance))
     if float(np.max(draws.log_likelihood)) <= 0.0:
         return unseen(update)
     return conclude(update, draws, evidence)
+
+
+def renewal_due(age: float) -> bool:
+    """Whether a track of ``age`` frames is held against a search of the whole space in the next one."""
+    return age % RENEW_FRAMES == 0
 
 
 def follow(update: Update) -> Draws:

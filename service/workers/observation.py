@@ -13,7 +13,7 @@ from service.imaging.decode import Frame as Image
 from service.imaging.measurement import FrameMaps, log_constant, measure
 from service.imaging.region import Region, first_region, learn_region, region_log_ratio
 from service.inference.params import SessionConfig
-from service.inference.tracking import ESTABLISHED_FRAMES, RENEW_FRAMES
+from service.inference.tracking import ESTABLISHED_FRAMES, renewal_due
 
 Memory = Mapping[str, NDArray[np.generic]]
 
@@ -43,7 +43,7 @@ def observe(image: Image, sky: Sky, config: SessionConfig, memory: Memory) -> Ob
         return Observation(FrameMaps(log_ratio, log_background, None), region)
     age = float(np.asarray(memory.get("age", 0.0)))
     # Where the whole space is searched unlike prices are right: they find bodies that are half in shadow.
-    searched = age < ESTABLISHED_FRAMES or age % RENEW_FRAMES == 0
+    searched = age < ESTABLISHED_FRAMES or renewal_due(age)
     maps = measure(
         image.image,
         sky,

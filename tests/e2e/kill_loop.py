@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,16 @@ def calm_pass(target: Server, count: int) -> list[dict[str, Any]]:
         return whole_history(http, session_id)
 
 
+def same_undisturbed(folder: Path, stored: list[dict[str, Any]]) -> bool:
+    """Whether an undisturbed service answers the same frames with the same history, bit for bit."""
+    calm = Server(folder / "calm", log_level="error")
+    calm.start()
+    try:
+        return calm_pass(calm, len(stored)) == stored
+    finally:
+        calm.stop()
+
+
 def report(toll: Toll, frames: int, equal: bool) -> dict[str, Any]:
     """The figures."""
     whole = toll.recovery_s()
@@ -178,20 +189,15 @@ def run(kills: int, minutes: float, seed: int) -> dict[str, Any]:
             stored, frames, toll = pass_through_kills(target, kills, until, seed)
         finally:
             target.stop()
-        calm = Server(Path(folder) / "calm", log_level="error")
-        calm.start()
-        try:
-            equal = calm_pass(calm, frames) == stored
-        finally:
-            calm.stop()
+        equal = same_undisturbed(Path(folder), stored)
     return report(toll, frames, equal)
 
 
-def main() -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=1000)
-    parser.add_argument("--minutes", type=float, default=120.0, help="stop after so long, with fewer kills")
+def command(run: Callable[[int, float, int], dict[str, Any]], says: str | None, kills: int, minutes: float) -> None:
+    """A kill loop as a command; ``kills`` and ``minutes`` are what it does by default."""
+    parser = argparse.ArgumentParser(description=says, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=kills)
+    parser.add_argument("--minutes", type=float, default=minutes, help="stop after so long, with fewer kills")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
@@ -204,4 +210,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(run, __doc__, kills=1000, minutes=120.0)

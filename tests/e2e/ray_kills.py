@@ -6,8 +6,6 @@ The cluster has a head, which runs nothing, and two nodes of one core. Afterward
 undisturbed service with worker processes; the two histories must be equal bit for bit. The tracker is the real one.
 """
 
-import argparse
-import json
 import random
 import sys
 import tempfile
@@ -19,7 +17,16 @@ from typing import Any
 sys.path[:0] = [str(Path(__file__).resolve().parents[2]), str(Path(__file__).resolve().parent)]
 
 import httpx  # noqa: E402
-from kill_loop import SMALL, Toll, calm_pass, check, put_until_answered, report, whole_history  # noqa: E402
+from kill_loop import (  # noqa: E402
+    SMALL,
+    Toll,
+    check,
+    command,
+    put_until_answered,
+    report,
+    same_undisturbed,
+    whole_history,
+)
 from passes import begin, box_pass, comparable  # noqa: E402
 from ray_cluster import LocalCluster, busy_actor, kill_actor, node_of, ray_cluster  # noqa: E402
 from server_process import Server  # noqa: E402
@@ -80,30 +87,9 @@ def run(kills: int, minutes: float, seed: int) -> dict[str, Any]:
                 stored, frames, toll = pass_through_kills(target, cluster, kills, until, seed)
             finally:
                 target.stop()
-        calm = Server(Path(folder) / "calm", log_level="error")
-        calm.start()
-        try:
-            equal = calm_pass(calm, frames) == stored
-        finally:
-            calm.stop()
+        equal = same_undisturbed(Path(folder), stored)
     return report(toll, frames, equal)
 
 
-def main() -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--minutes", type=float, default=60.0, help="stop after so long, with fewer kills")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    given = parser.parse_args()
-    figures = run(given.kills, given.minutes, given.seed)
-    text = json.dumps(figures, indent=1)
-    print(text)
-    if given.json:
-        given.json.write_text(text + "\n")
-    sys.exit(0 if figures["replay_bit_equal"] else 1)
-
-
 if __name__ == "__main__":
-    main()
+    command(run, __doc__, kills=200, minutes=60.0)
