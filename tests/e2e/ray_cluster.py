@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -49,14 +50,17 @@ class LocalCluster:
 
 
 def actors(server: Server) -> list[dict[str, Any]]:
-    """The actors that are ready, as the service shows them."""
-    found = httpx.get(f"{server.url}/v1/system", timeout=60).json()["workers"]
+    """The actors that are ready, as the service shows them; none where it is answered 503 for want of any."""
+    answer = httpx.get(f"{server.url}/v1/system", timeout=60)
+    found = [] if answer.status_code == 503 else answer.raise_for_status().json()["workers"]
     return [actor for actor in found if actor["ready"]]
 
 
-def busy_actor(server: Server) -> dict[str, Any] | None:
-    """The actor where the sessions live."""
-    return max(actors(server), key=lambda actor: actor["sessions"], default=None)
+def busy_actor(server: Server) -> dict[str, Any]:
+    """The actor where the sessions live; waits until there is one."""
+    while not (ready := actors(server)):
+        time.sleep(0.05)  # not a wait for a result: an actor is on its way
+    return max(ready, key=lambda actor: actor["sessions"])
 
 
 def kill_actor(actor: dict[str, Any]) -> None:

@@ -39,15 +39,16 @@ def strike(target: Server, cluster: LocalCluster, victim: str, delay_s: float, t
     """SIGKILL after a delay, to what the session depends on."""
     home = None if victim == "web" else busy_actor(target)
     time.sleep(delay_s)
-    node = None if home is None else node_of(cluster, home)
+    node = node_of(cluster, home) if home is not None and victim == "node" else None
+    victim = "actor" if victim == "node" and node is None else victim  # its node was killed, but not noticed yet
     toll.at.append((time.monotonic(), victim))
     toll.kills[victim] += 1
-    if victim == "web":
+    if home is None:
         target.kill()
         target.start()
-    elif victim == "node" and node is not None:
+    elif node is not None:
         cluster.kill_node(node)
-    elif home is not None:
+    else:
         kill_actor(home)
 
 
