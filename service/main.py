@@ -205,6 +205,16 @@ async def _keep_house(services: Services, engine: Engine) -> None:
         metrics.watchers.set(services.hub.watchers)
         metrics.worker_restarts.set(engine.transport.restarts)
         await _note_callers(services)
+        await _look_at_logs(services)
+
+
+async def _look_at_logs(services: Services) -> None:
+    """A process that dies after a commit tells nobody: this is how late its watchers elsewhere are at most."""
+    try:
+        if services.forwarding.cluster is not None:
+            await services.hub.look_again()
+    except StorageError as error:
+        log.warning("logs of watched sessions not read; tried again", error=error.detail)
 
 
 async def _note_callers(services: Services) -> None:

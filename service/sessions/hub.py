@@ -13,11 +13,12 @@ from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
-from service.errors import BusyError, NotFoundError, QuotaExceededError
+from service.errors import BusyError, QuotaExceededError
 from service.store import frames
 from service.store.base import StoredEvent
 from service.store.database import Database
 from service.store.scope import SessionKey, tenant_of
+from service.store.signals import Signal
 
 PAGE = 100
 
@@ -83,7 +84,8 @@ class Hub:
         return sum(channel.watchers for key, channel in self._channels.items() if tenant_of(key) == tenant)
 
     def publish(self, session_id: SessionKey, seq: int, document: bytes) -> None:
-        """Tell the watchers of a committed event."""
+        """Tell the watchers of a committed event, here and at the other processes."""
+        self._database.tell(Signal("grown", session_id, seq))
         channel = self._channels.get(session_id)
         if channel is not None:
             if channel.ring and channel.ring[-1].seq != seq - 1:  # another process wrote what is between
@@ -108,10 +110,14 @@ class Hub:
 
     async def look_again(self) -> None:
         """Read how far the log of every watched session is: signals of other processes may have been missed."""
-        for session_id in list(self._channels):
-            try:
-                self.grown(session_id, await self._database.read(frames.last_seq, session_id))
-            except NotFoundError:
+        watched = list(self._channels)
+        if not watched:
+            return
+        newest = await self._database.read(frames.last_seqs, watched)
+        for session_id in watched:
+            if session_id in newest:
+                self.grown(session_id, newest[session_id])
+            else:
                 self.end(session_id, "deleted")
 
     def end(self, session_id: SessionKey, reason: str) -> None:
@@ -180,4 +186,8 @@ class Hub:
         recent = channel.since(cursor)
         if recent is not None:
             return recent
-        return await self._database.read(frames.event_page, session_id, cursor, PAGE)
+        newest = channel.newest
+        events = await self._database.read(frames.event_page, session_id, cursor, PAGE)
+        if not events and channel.newest == newest:  # said late, before the session was put back with fewer frames
+            channel.newest = cursor
+        return events

@@ -17,6 +17,7 @@ from sqlalchemy import Connection, Engine, inspect
 from sqlalchemy.exc import DBAPIError
 
 from service.errors import StorageError
+from service.store.signals import Signal
 
 log = structlog.get_logger(__name__)
 P = ParamSpec("P")
@@ -76,6 +77,9 @@ class Database(ABC):
             return function(connection, *args, **kwargs)
 
         return await self._run(self._read_threads, lambda: self._snapshot(work))
+
+    def tell(self, signal: Signal) -> None:  # noqa: B027 -- nobody else is there
+        """Tell the other processes, where there may be any. From any thread."""
 
     async def close(self) -> None:
         """Finish what is under way and let go of the database. A second call does nothing."""

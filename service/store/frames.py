@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from sqlalchemy import Connection, delete, insert, select
 
 from service.errors import GoneError, NotFoundError
 from service.store import sessions as session_queries
 from service.store.base import FrameRecord, Retention, StoredBelief, StoredEvent, StoredFrame
 from service.store.scope import SessionKey
-from service.store.signals import Signal, send
-from service.store.tables import beliefs, estimates, events, frame_bodies, frames, particles
+from service.store.tables import beliefs, estimates, events, frame_bodies, frames, particles, sessions
 
 
 def append(connection: Connection, record: FrameRecord, retention: Retention) -> int:
@@ -42,7 +43,6 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
     session_queries.put_contenders(connection, record.session_id, record.contenders)
     connection.execute(insert(events).values(**at, seq=row.next_seq, kind="estimate"))
     _forget(connection, record.session_id, record.index, retention)
-    send(connection, Signal("grown", record.session_id, row.next_seq))
     return row.next_seq
 
 
@@ -127,6 +127,12 @@ def event_page(connection: Connection, session_id: SessionKey, after: int, limit
 def last_seq(connection: Connection, session_id: SessionKey) -> int:
     """Number of the newest event (0: none yet). Raises ``NotFoundError``."""
     return session_queries.get(connection, session_id).next_seq - 1
+
+
+def last_seqs(connection: Connection, session_ids: Collection[SessionKey]) -> dict[SessionKey, int]:
+    """The same of several; those that are unknown are left out."""
+    query = select(sessions.c.id, sessions.c.next_seq).where(sessions.c.id.in_(session_ids))
+    return {SessionKey(row.id): row.next_seq - 1 for row in connection.execute(query)}
 
 
 def body(connection: Connection, session_id: SessionKey, index: int) -> tuple[bytes, str]:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import structlog
-from sqlalchemy import Engine
 
 from service.store.signals import CHANNEL, Heard, received
 
@@ -22,8 +21,14 @@ _AGAIN_S = 0.2
 class Listener:
     """Hears what others send. ``heard`` and ``resumed`` are called in its thread."""
 
-    def __init__(self, engine: Engine, sender: str, heard: Heard, resumed: Callable[[], None]) -> None:
-        self._engine = engine
+    def __init__(
+        self,
+        connect: Callable[[], psycopg.Connection[Any]],
+        sender: str,
+        heard: Heard,
+        resumed: Callable[[], None],
+    ) -> None:
+        self._connect = connect
         self._sender = sender
         self._heard = heard
         self._resumed = resumed
@@ -56,12 +61,6 @@ class Listener:
                     log.warning("signals of other processes not heard; tried again and again", error=str(error))
                 heard = False
                 self._stopping.wait(_AGAIN_S)
-
-    def _connect(self) -> psycopg.Connection[Any]:
-        import psycopg
-
-        args, kwargs = self._engine.dialect.create_connect_args(self._engine.url)
-        return psycopg.connect(*args, **kwargs, autocommit=True, keepalives_idle=5, keepalives_count=3)
 
     def _hear(self, connection: psycopg.Connection[Any]) -> None:
         for notify in connection.notifies(timeout=_LOOK_S):

@@ -10,7 +10,7 @@ import random
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import structlog
 from sqlalchemy import Connection, Engine, create_engine, make_url, text
@@ -19,7 +19,11 @@ from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, OperationalErro
 from service.errors import ConfigError, InputError, StorageError
 from service.store.database import Database, migrate
 from service.store.listener import Listener
-from service.store.signals import SENDER, Heard
+from service.store.signals import SENDER, Heard, Signal
+from service.store.teller import Teller
+
+if TYPE_CHECKING:
+    import psycopg
 
 R = TypeVar("R")
 log = structlog.get_logger(__name__)
@@ -52,14 +56,22 @@ class PostgresDatabase(Database):
         self._idle_s = idle_s
         self._ending = threading.Event()
         self._listener: Listener | None = None
+        self._teller: Teller | None = None
 
     def listen(self, heard: Heard, resumed: Callable[[], None]) -> None:
-        """Hear the signals of other processes from now on, in a thread of its own.
+        """Hear the signals of other processes and tell them from now on, in threads of their own.
 
         ``resumed`` is called whenever listening begins (again): signals may have been missed until then.
         """
-        self._listener = Listener(self.writer, self._sender, heard, resumed)
+        self._listener = Listener(self._connect_aside, self._sender, heard, resumed)
         self._listener.start()
+        self._teller = Teller(self._connect_aside, self._sender)
+        self._teller.start()
+
+    def tell(self, signal: Signal) -> None:
+        """Tell the other processes soon, where this one listens to them."""
+        if self._teller is not None:
+            self._teller.tell(signal)
 
     def _open(self, beside: bool) -> None:
         writers, readers = self._sizes
@@ -104,9 +116,18 @@ class PostgresDatabase(Database):
 
     def _close(self) -> None:
         self._ending.set()
-        if self._listener is not None:
-            self._listener.stop()
+        for thread in (self._teller, self._listener):
+            if thread is not None:
+                thread.stop()
         super()._close()
+
+    def _connect_aside(self) -> psycopg.Connection[Any]:
+        """A connection of no pool, for signals; its commits need no disk."""
+        import psycopg
+
+        args, kwargs = self.writer.dialect.create_connect_args(self.writer.url)
+        options = "-c synchronous_commit=off"
+        return psycopg.connect(*args, **kwargs, autocommit=True, options=options, keepalives_idle=5, keepalives_count=3)
 
     def _engine(self, connections: int) -> Engine:
         wait_ms, idle_ms = int(self._wait_s * 1000), int(self._idle_s * 1000)

@@ -1,7 +1,8 @@
 """What processes on one database tell each other, and the lock under which they share rows. SQLite needs neither.
 
-A signal is sent by the transaction that makes it true: it is heard after the commit, or never. It is a hint only; the
-rows are the truth, and whoever may have missed a signal reads them.
+A signal is sent by the transaction that makes it true: it is heard after the commit, or never. That a log has grown is
+told beside the transactions (``teller``), because it is told so often. A signal is a hint only; the rows are the truth,
+and whoever may have missed a signal reads them.
 """
 
 from __future__ import annotations
@@ -37,9 +38,13 @@ def send(connection: Connection, signal: Signal) -> None:
     """Tell the other processes once this transaction is committed."""
     if connection.dialect.name != "postgresql":
         return
-    sender = connection.get_execution_options().get(SENDER)
-    payload = orjson.dumps([sender, signal.kind, signal.key, signal.number]).decode()
-    connection.execute(text("SELECT pg_notify(:channel, :payload)"), {"channel": CHANNEL, "payload": payload})
+    said = payload(connection.get_execution_options()[SENDER], signal)
+    connection.execute(text("SELECT pg_notify(:channel, :payload)"), {"channel": CHANNEL, "payload": said})
+
+
+def payload(sender: str, signal: Signal) -> str:
+    """A signal as it is sent."""
+    return orjson.dumps([sender, signal.kind, signal.key, signal.number]).decode()
 
 
 def received(payload: str) -> tuple[str, Signal] | None:

@@ -87,6 +87,19 @@ async def test_either_process_answers_for_the_one_owner(pair):
     assert (await one.put(session_id, 4, 4)).status_code == 404
 
 
+async def test_a_watcher_elsewhere_hears_of_frames_whose_process_died_before_it_told(pair, monkeypatch):
+    one, two = await pair()
+    session_id = await one.ready_session()
+    heard: asyncio.Queue = asyncio.Queue()
+    watching = asyncio.create_task(watch(two, session_id, heard))
+    await one.put(session_id, 0, 0)
+    assert (await heard.get())["seq"] == 1
+    monkeypatch.setattr(one.app.state.services.archive.database, "tell", lambda signal: None)
+    await one.put(session_id, 1, 1)
+    assert (await heard.get())["seq"] == 2  # the log is looked at, not only when somebody says so
+    watching.cancel()
+
+
 async def test_a_session_moves_while_it_is_in_use(pair):
     one, two = await pair()
     session_id = await one.ready_session()

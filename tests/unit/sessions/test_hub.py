@@ -5,6 +5,7 @@ import pytest
 from service.sessions.hub import Hub
 from service.store import frames
 from service.store.base import StoredEvent
+from service.store.signals import Signal
 
 pytestmark = pytest.mark.anyio
 
@@ -14,10 +15,16 @@ class Log:
 
     def __init__(self) -> None:
         self.newest = 0
+        self.told: list[Signal] = []
+
+    def tell(self, signal):
+        self.told.append(signal)
 
     async def read(self, function, session_id, *args):
         if function is frames.last_seq:
             return self.newest
+        if function is frames.last_seqs:
+            return {"s": self.newest} if self.newest is not None else {}
         after, limit = args
         return [StoredEvent(seq, b"%d" % seq) for seq in range(after + 1, self.newest + 1)][:limit]
 
@@ -78,3 +85,21 @@ async def test_what_was_not_heard_is_read(log, hub):
         log.newest = 2
         await hub.look_again()
         assert await estimates(messages, 2) == [1, 2]
+        log.newest = None
+        await hub.look_again()
+        assert [message.reason async for message in messages if message.type == "end"] == ["deleted"]
+
+
+async def test_what_is_committed_here_is_told_to_the_others(log, hub):
+    commit(log, hub)
+    assert log.told == [Signal("grown", "s", 1)]
+
+
+async def test_a_signal_that_is_too_late_is_not_believed(log, hub):
+    async with hub.watch("s", 0) as messages:
+        commit(log, hub)
+        hub.grown("s", 9)  # of the session as it was before it was deleted and put back
+        assert await estimates(messages, 1) == [1]
+        assert (await anext(messages)).type == "heartbeat"  # the log is not read over and over for what is not there
+        commit(log, hub)
+        assert await estimates(messages, 1) == [2]

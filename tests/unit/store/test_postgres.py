@@ -64,6 +64,12 @@ def end_own_connection(connection) -> None:
         other.execute(text("SELECT pg_terminate_backend(:pid, 5000)"), {"pid": pid})
 
 
+def end_other_connections(connection) -> None:
+    """As a restart of the server would, once more."""
+    others = "FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid()"
+    connection.execute(text(f"SELECT pg_terminate_backend(pid, 5000) {others}"))
+
+
 async def name_of(database: PostgresDatabase) -> str | None:
     return (await database.read(sessions.get, "s")).name
 
@@ -185,32 +191,63 @@ async def test_a_stopped_process_keeps_nobody_waiting_and_writes_nothing(opened)
     assert (await other.read(sessions.get, "s")).next_index == 0
 
 
-async def test_signals_are_heard_by_the_others_after_the_commit(opened):
-    here, there = await opened("here"), await opened("there")
+async def listening(*databases: PostgresDatabase) -> asyncio.Queue[Signal | None]:
+    """What they hear, once all do; None whenever one begins to."""
     heard: asyncio.Queue[Signal | None] = asyncio.Queue()
     loop = asyncio.get_running_loop()
-    for database in (here, there):  # nobody hears itself
+    for database in databases:
         database.listen(
             lambda signal: loop.call_soon_threadsafe(heard.put_nowait, signal),
             lambda: loop.call_soon_threadsafe(heard.put_nowait, None),
         )
-    assert [await heard.get(), await heard.get()] == [None, None]
+    assert [await heard.get() for _ in databases] == [None] * len(databases)
+    return heard
+
+
+async def test_signals_are_heard_by_the_others_after_the_commit(opened):
+    here, there = await opened("here"), await opened("there")
+    heard = await listening(here, there)  # nobody hears itself
     await begin(here)
-    record, _ = await here.write(sessions.claim, "s")
 
     def fails(connection):
-        frames.append(connection, frame(0, record.epoch), KEEP)
+        sessions.remove(connection, "s")
         raise InputError("no")
 
     with pytest.raises(InputError):
         await here.write(fails)
-    await here.write(frames.append, frame(0, record.epoch), KEEP)
     await here.write(sessions.remove, "s")
     await here.write(api_keys.add, KeyRecord("k", "h", "acme", "read", "n", "t"))
     await here.write(api_keys.revoke, "acme", "k", "t")
-    expected = [Signal("grown", "s", 1), Signal("deleted", "s"), Signal("revoked", "k")]
+    expected = [Signal("deleted", "s"), Signal("revoked", "k")]
     assert [await heard.get() for _ in expected] == expected
     assert heard.empty()
+
+
+async def test_that_logs_grow_is_told_together_and_beside_the_transactions(opened):
+    here, there = await opened("here"), await opened("there")
+    heard = await listening(here, there)
+    notified = []
+    event.listen(here.writer, "before_cursor_execute", lambda *given: notified.append("pg_notify" in given[2]))
+    await begin(here)
+    record, _ = await here.write(sessions.claim, "s")
+    assert await here.write(frames.append, frame(0, record.epoch), KEEP) == 1
+    assert notified and not any(notified)
+    for number in range(1, 1001):
+        here.tell(Signal("grown", "s", number))
+        here.tell(Signal("grown", "r", number))
+    newest, count = {}, 0
+    while newest != {"s": 1000, "r": 1000}:
+        signal = await heard.get()
+        assert signal.number > newest.get(signal.key, 0)
+        newest[signal.key], count = signal.number, count + 1
+    assert count < 2000
+    # A connection that breaks costs at most what was on its way.
+    await there.write(end_other_connections)
+    number = 1000
+    while (signal := heard.get_nowait() if not heard.empty() else None) is None or signal.number <= 1000:
+        number += 1
+        here.tell(Signal("grown", "s", number))
+        await asyncio.sleep(0)
 
 
 async def test_a_ticket_is_taken_once_and_in_time(database):
