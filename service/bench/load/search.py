@@ -9,6 +9,7 @@ from functools import partial
 from service.bench.load.clients import Client, Target, send, warm
 from service.bench.load.cost import Meter, cost_per_frame
 from service.bench.load.plan import LoadPlan, LoadRow
+from service.inference.tracking import RENEW_FRAMES
 
 Hear = Callable[[LoadRow], None]
 _FINE = 8  # the capacity is known to one part in so many
@@ -25,7 +26,10 @@ class Service:
 
 
 class Fleet:
-    """Sessions of one number of particles. They stay from one measurement to the next: a first frame is no load."""
+    """Sessions of one number of particles. They stay from one measurement to the next: a first frame is no load.
+
+    Each is a frame further on than the one before, so that their frames that take longest do not come all at once.
+    """
 
     def __init__(self, target: Target, particles: int, warm_frames: int) -> None:
         self.particles = particles
@@ -36,7 +40,7 @@ class Fleet:
         """The first ``n`` of them; those that are missing begin now."""
         while len(self._clients) < n:
             client = Client(await self._target.begin(self.particles, len(self._clients)))
-            await warm(self._target, client, self._warm_frames)
+            await warm(self._target, client, self._warm_frames + len(self._clients) % RENEW_FRAMES)
             self._clients.append(client)
         return self._clients[:n]
 

@@ -18,7 +18,7 @@ from service.bench.load.http_target import HttpTarget
 from service.bench.load.plan import Cost, LoadError, LoadPlan, LoadRow
 from service.bench.load.report import capacity_table, cost_table, load_document, load_plot, row_line
 from service.bench.load.scene import Scene
-from service.bench.load.search import Service, capacities, climb, measure_service
+from service.bench.load.search import Fleet, Service, capacities, climb, measure_service
 from service.cli import app
 
 WIDE = {"COLUMNS": "200", "TERM": "dumb"}
@@ -101,6 +101,12 @@ def test_sessions_stay_from_one_measurement_to_the_next_and_their_frames_are_in_
     for session in {name for name, _ in queue.seen}:
         indices = [index for name, index in queue.seen if name == session]
         assert indices == list(range(len(indices)))
+
+
+def test_sessions_are_not_in_step():
+    """Every tenth frame of a session searches the whole space."""
+    clients = virtually(Fleet(Queue(4, 0.01), 100, 4).grow(20))
+    assert sorted(client.next_index % 10 for client in clients) == sorted([*range(10)] * 2)
 
 
 def test_time_counts_from_when_a_frame_was_due():
