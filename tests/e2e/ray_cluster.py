@@ -51,7 +51,7 @@ class LocalCluster:
 
 def actors(server: Server) -> list[dict[str, Any]]:
     """The actors that are ready, as the service shows them; none where it is answered 503 for want of any."""
-    answer = httpx.get(f"{server.url}/v1/system", timeout=60)
+    answer = httpx.get(f"{server.url}/v1/system", timeout=150)  # it waits for an actor that is on its way
     found = [] if answer.status_code == 503 else answer.raise_for_status().json()["workers"]
     return [actor for actor in found if actor["ready"]]
 
