@@ -30,6 +30,7 @@ Number = TypeVar("Number", np.uint8, np.float32)
 _DEFAULT_PSF_SIGMA_PX = 1.0
 _DETECTION_SIGMA = 4.0  # of smoothed noise: fainter light is no evidence
 _STRONG_SIGMA = 5.0  # light around which an edge can be placed; fainter light is judged by neighbourhoods
+_SURFACE_SIGMA, _SURFACE_MEAN = 8.0, 3.0  # of a dim surface: no pixel above the one, their mean above the other
 _LEVEL_ROUNDS = 8
 _LEVEL_SAMPLE = 16_384
 _LEVEL_PIXELS = 100  # fewer that look like sky tell nothing of its level
@@ -46,6 +47,7 @@ class FrameMaps:
     log_ratio: NDArray[np.float32]  # (H, W) Eq. 3
     log_background: float  # Eq. 2's constant: sum of log p(D|b) - log p(D)
     psf_sigma_px: float | None  # width of the point spread that was used
+    brightness: NDArray[np.float32] | None = None  # (H, W) above the sky, in units of a pixel's noise
 
 
 def measure(
@@ -57,13 +59,14 @@ def measure(
     usual_psf_sigma_px: float | None = None,
     covered_empty_nats: float,
     uncovered_bright_nats: float,
-    edge_nats_per_px: float = np.inf,
+    edge_nats_per_px: float = 0.6,
+    search: bool = True,
 ) -> FrameMaps:
     """Measure a frame (H, W) or (H, W, C) against the sky.
 
-    ``edge_nats_per_px``: see ``even_edge``; infinite leaves the map as it is. ``psf_sigma_px`` is the point-spread
-    width where it is known; otherwise the frame's own estimate is averaged with ``usual_psf_sigma_px``, the one of the
-    frames before.
+    ``search``: the whole space is searched with it; while a track is followed ``edge_nats_per_px`` counts instead (see
+    ``even_edge``). ``psf_sigma_px`` is the point-spread width where it is known; otherwise the frame's own estimate is
+    averaged with ``usual_psf_sigma_px``, the one of the frames before.
     """
     log_background = log_constant(image, sky)
     if kind == "histogram":
@@ -79,10 +82,12 @@ def measure(
         psf_sigma_px=psf_sigma_px,
         covered_empty_nats=covered_empty_nats,
         uncovered_bright_nats=uncovered_bright_nats,
+        search=search,
     )
-    if np.isfinite(edge_nats_per_px):
+    if not search:
         log_ratio = even_edge(log_ratio, covered_empty_nats, edge_nats_per_px)
-    return FrameMaps(log_ratio, log_background, psf_sigma_px)
+    brightness = np.sum(residual / sky.sigma, axis=2) / np.float32(np.sqrt(residual.shape[2]))
+    return FrameMaps(log_ratio, log_background, psf_sigma_px, np.asarray(brightness, np.float32))
 
 
 def even_edge(log_ratio: NDArray[np.float32], least: float, rise: float) -> NDArray[np.float32]:
@@ -172,10 +177,18 @@ def contrast_log_ratio(
     psf_sigma_px: float,
     covered_empty_nats: float,
     uncovered_bright_nats: float,
+    search: bool,
 ) -> NDArray[np.float32]:
-    """(H, W) bounded log-ratio that changes sign where the light is half of its local maximum."""
+    """(H, W) bounded log-ratio that changes sign where the light is half of its local maximum.
+
+    For a ``search`` dim surfaces are taken as a whole, by neighbourhoods: by single pixels they come apart into specks,
+    and a wrong pose that fills the bright parts alone would win. Their edges are less sharp then.
+    """
     sharp, significance = half_level(residual, sky, psf_sigma_px)
     light = (sharp > 0) & (significance > _STRONG_SIGMA)
+    if search:
+        mean = cv2.GaussianBlur(significance, (0, 0), _FAINT_SIGMA_PX)
+        light &= (significance > _SURFACE_SIGMA) | (mean < _SURFACE_MEAN)
     near_light = brightest_within(light.astype(np.uint8), psf_sigma_px) > 0
     clear = residual - veil(residual, sky, light, near_light, psf_sigma_px)
     faint = np.minimum(faint_light(clear, sky, near_light), _FAINT_NATS)

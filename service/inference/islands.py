@@ -31,12 +31,20 @@ class Islands:
     log_likelihood: Array  # (K,) of ``best``
     mean: Poses  # (K)
     covariance: Array  # (K, d, d) tangent space at ``mean``
+    shading: Array  # (K,) nats by which light and shade speak for ``best``, as far as they were looked at
+
+    @property
+    def rank(self) -> Array:
+        """(K,) what speaks for each."""
+        return self.log_likelihood + self.shading
 
     def __len__(self) -> int:
         return len(self.log_likelihood)
 
     def __getitem__(self, index: NDArray[np.intp]) -> Islands:
-        return Islands(self.best[index], self.log_likelihood[index], self.mean[index], self.covariance[index])
+        return Islands(
+            self.best[index], self.log_likelihood[index], self.mean[index], self.covariance[index], self.shading[index]
+        )
 
 
 def scatter(poses: Poses, log_likelihood: Array, metric: Metric, count: int, deviation: Array) -> Islands:
@@ -51,7 +59,9 @@ def scatter(poses: Poses, log_likelihood: Array, metric: Metric, count: int, dev
         free &= distance(ranked, ranked[k : k + 1], metric) > 1.0
     picked = order[np.array(chosen, dtype=np.intp)]
     seeds = poses[picked]
-    return Islands(seeds, log_likelihood[picked], seeds, np.tile(np.diag(deviation**2), (len(picked), 1, 1)))
+    return Islands(
+        seeds, log_likelihood[picked], seeds, np.tile(np.diag(deviation**2), (len(picked), 1, 1)), np.zeros(len(picked))
+    )
 
 
 def refine(
@@ -82,7 +92,7 @@ def refine(
         best_score = np.where(better, scores.ravel()[first], best_score)
         mean = retract(mean, np.einsum("e,kei->ki", weights, elite))
         covariance = _KEEP * covariance + (1 - _KEEP) * np.einsum("e,kei,kej->kij", weights, elite, elite)
-    return Islands(best, best_score, mean, covariance)
+    return Islands(best, best_score, mean, covariance, np.zeros(k))
 
 
 def repeat(poses: Poses, count: int) -> Poses:
@@ -105,7 +115,7 @@ def pick(condition: NDArray[np.bool_], a: Poses, b: Poses) -> Poses:
 
 def strongest(islands: Islands, metric: Metric, count: int) -> Islands:
     """The ``count`` best islands, one per basin: those that have run into a better one are left out."""
-    order = np.argsort(-islands.log_likelihood)
+    order = np.argsort(-islands.rank)
     kept: list[int] = []
     for k in order:
         near = kept and np.min(distance(islands.best[np.array(kept)], islands.best[k : k + 1], metric)) < 0.3

@@ -105,8 +105,12 @@ class LikelihoodParams:
     edge_nats_per_px: float = 0.6
     """`contrast`: while tracking that price begins at `covered_empty_nats` and rises so fast from the edge of the light
     inwards. With two different prices at the edge itself the silhouette that fits best is too large."""
+    shading_nats: float = 800.0
+    """`contrast`: while searching, what it is worth, before `mode_exponent`, if a sunlit body leaves e times less of
+    the brightness over. 0: outlines alone."""
 
     def __post_init__(self) -> None:
+        _require(0 <= self.shading_nats <= 1e6, "shading_nats must lie in [0, 1000000]")
         _require(0.1 <= self.gradient_sigma_px <= 50, "gradient_sigma_px must be between 0.1 and 50")
         _require(0 < self.exponent <= 1, "exponent must lie in (0, 1]")
         _require(1e-3 <= self.misfit_nats <= 1e9, "misfit_nats must be between 0.001 and 1e9")

@@ -101,6 +101,6 @@ def _climb(update: Update, draws: Draws, top: int, widen: float, rounds: int, pe
     x = short_way(local(best, draws.poses[near]), update.metric)
     x = x - weights @ x
     covariance = widen * np.einsum("n,ni,nj->ij", weights, x, x) + 1e-8 * np.eye(x.shape[1])
-    start = Islands(best, draws.log_likelihood[top : top + 1], best, covariance[None])
+    start = Islands(best, draws.log_likelihood[top : top + 1], best, covariance[None], np.zeros(1))
     peak = refine(update.rng, start, update.score, update.domain.contains, rounds, per_round)
     return update.domain.wrap(peak.best), float(peak.log_likelihood[0])

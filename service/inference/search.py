@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from service.inference.acquisition import Evidence, place
@@ -30,16 +32,24 @@ def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = No
         starts, stages = max(1, round(GLANCE_SHARE * starts)), GLANCE
     poses = place(update.rng, domain, evidence, update.score_maps, starts)
     islands = scatter(poses, update.score(poses), metric, stages[0][0], search_reach(domain))
-    for count, rounds, draws in stages:
+    for stage, (count, rounds, draws) in enumerate(stages):
+        if stage > 0:  # before, they are too far from their peaks, and too many
+            islands = shaded(update, strongest(islands, metric, 2 * count))
         islands = strongest(islands, metric, count)
         islands = refine(update.rng, islands, update.score, domain.contains, rounds, draws)
-    top = int(np.argmax(islands.log_likelihood))
+    islands = shaded(update, islands)
+    top = int(np.argmax(islands.rank))
     near = islands.best[top : top + 1] if anchor is None else anchor
     folded, _ = fold(islands.best, np.zeros((len(islands), domain.n_tangent)), update.twins, domain, near)
-    islands = strongest(Islands(folded, islands.log_likelihood, islands.mean, islands.covariance), metric, len(islands))
+    islands = strongest(replace(islands, best=folded), metric, len(islands))
     exponent = update.config.likelihood.mode_exponent
-    in_play = exponent * (islands.log_likelihood - islands.log_likelihood.max()) > -IN_PLAY_NATS
+    in_play = exponent * (islands.rank - islands.rank.max()) > -IN_PLAY_NATS
     return islands[np.flatnonzero(in_play)]
+
+
+def shaded(update: Update, islands: Islands) -> Islands:
+    """The islands with what light and shade say of their best poses."""
+    return replace(islands, shading=update.shading(islands.best))
 
 
 def search_reach(domain: Domain) -> Array:
@@ -49,14 +59,22 @@ def search_reach(domain: Domain) -> Array:
     return np.array([0.12, 0.12, 0.12, side, side, 0.08, *(0.06 * (greatest - least))])
 
 
-def island_components(update: Update, islands: Islands, log_weight: float) -> list[Component]:
-    """Each island as a mode that may be anywhere within the search's reach, with rates of which nothing is known."""
+def island_components(
+    update: Update, islands: Islands, log_weight: float, beside: float | None = None
+) -> list[Component]:
+    """Each island as a mode that may be anywhere within the search's reach, with rates of which nothing is known.
+
+    ``beside``: the shading of the track that they stand beside, in nats; without one it is that of the best of them.
+    """
     d = update.domain.n_tangent
     reach = np.diag(search_reach(update.domain) ** 2)
     rates = np.diag(np.sqrt(update.rates.variance))
     share = log_weight - float(np.log(len(islands)))
     alone = [islands.best[np.array([k])] for k in range(len(islands))]
-    return [Component(share, best, reach, np.zeros(d), np.zeros((d, d)), rates) for best in alone]
+    gain = islands.shading - (np.max(islands.shading) if beside is None else beside)
+    shares = share + update.config.likelihood.mode_exponent * gain
+    pairs = zip(shares.tolist(), alone, strict=True)
+    return [Component(share, best, reach, np.zeros(d), np.zeros((d, d)), rates) for share, best in pairs]
 
 
 def log_occam(update: Update, n_islands: int) -> float:

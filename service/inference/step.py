@@ -19,6 +19,7 @@ from service.inference.sample_size import adapted
 from service.inference.state import Array, Estimate, FilterState, Frame, Outcome, Poses
 from service.inference.symmetry import Symmetry, refold, unfold
 from service.inference.tracking import track
+from service.inference.update import Shade
 from service.inference.weights import normalise
 
 ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
@@ -48,6 +49,7 @@ def step(
     domain: Domain,
     twins: Sequence[Symmetry] = (),
     bootstrap: Bootstrap | None = None,
+    shade: Shade | None = None,
 ) -> tuple[FilterState, Estimate]:
     """Update ``state`` (None before the first frame) by one frame; ``twins`` are the body's symmetries.
 
@@ -66,7 +68,7 @@ def step(
         update = bootstrap or bootstrap_update
         outcome, twins = update(rng, state, frame, score, config, domain), ()
     else:
-        outcome = track(rng, one_of_twins(state, twins, domain), frame, score_maps, config, domain, twins)
+        outcome = track(rng, one_of_twins(state, twins, domain), frame, score_maps, config, domain, twins, shade)
     estimate = summarise(outcome, frame.measurement.log_background, twins, domain)
     poses, rates = unfold(outcome.poses, outcome.rates, twins, domain)
     new_state = FilterState(

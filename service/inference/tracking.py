@@ -21,7 +21,7 @@ from service.inference.resample import RESAMPLERS
 from service.inference.search import island_components, log_occam, search_islands, search_reach
 from service.inference.state import FilterState, Frame, Outcome, Poses
 from service.inference.symmetry import Symmetry
-from service.inference.update import ScoreMaps, Update
+from service.inference.update import ScoreMaps, Shade, Update
 from service.inference.weights import normalise
 
 ESTABLISHED_FRAMES = 3  # frames of support in a row before a track is called one
@@ -40,6 +40,7 @@ def track(
     config: SessionConfig,
     domain: Domain,
     twins: Sequence[Symmetry] = (),
+    shade: Shade | None = None,
 ) -> Outcome:
     """One frame of the default filter.
 
@@ -48,7 +49,7 @@ def track(
     the first frames as well as the right one. What a search finds elsewhere stands beside the track with the weight
     that its evidence gives it.
     """
-    update = Update(rng, state, frame, score_maps, config, domain, twins)
+    update = Update(rng, state, frame, score_maps, config, domain, twins, shade)
     evidence = find_evidence(frame.measurement.log_ratio)
     if evidence is None:
         return unseen(update)
@@ -125,7 +126,8 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None, glance: bo
         return tracked
     elsewhere = islands[np.flatnonzero(away)]
     even = even_start(update)
-    newcomers = island_components(update, elsewhere, float(np.log(NEWCOMER)) + even)
+    beside = float(update.shading(tracked.poses[top : top + 1])[0])
+    newcomers = island_components(update, elsewhere, float(np.log(NEWCOMER)) + even, beside)
     found = mixture_posterior(update, newcomers, update.exponent())
     both = join(tracked, found)
     pick = RESAMPLERS[update.config.filter.resampler](

@@ -18,6 +18,7 @@ from service.inference.state import Array, FilterState, Frame, Poses
 from service.inference.symmetry import Symmetry
 
 ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
+Shade = Callable[[Poses], Array]  # (N,) log of how many times less of the brightness each leaves over than no body does
 
 MOST_SURPRISE = 3.0
 
@@ -33,6 +34,7 @@ class Update:
     config: SessionConfig
     domain: Domain
     twins: Sequence[Symmetry]
+    shade: Shade | None = None
 
     @cached_property
     def maps(self) -> NDArray[np.float32]:
@@ -57,6 +59,11 @@ class Update:
     def score(self, poses: Poses) -> Array:
         """(N,) the particle term of Eq. 4; poses outside of the prior's bounds explain none of the light."""
         return np.where(self.domain.contains(poses), self.score_maps(poses, self.maps)[:, 0], -self.light - 1.0)
+
+    def shading(self, poses: Poses) -> Array:
+        """(N,) nats by which light and shade inside of the outline speak for each pose."""
+        worth = self.config.likelihood.shading_nats
+        return np.zeros(len(poses)) if self.shade is None or worth == 0 else worth * self.shade(poses)
 
     def recall(self, name: str, otherwise: Array | float) -> Array:
         """Something remembered from earlier frames."""

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpu.mesh import Mesh
+from gpu.zbuffer import rasterise
 from service.inference.articulation import Articulation, Joint, part_transforms
 from service.inference.pose import rotation_matrices
 from service.inference.state import Array, Poses
-from service.simulate.raster import rasterise
 
 _DEPTH_MIRROR = np.diag([1.0, 1.0, -1.0])
 

@@ -10,9 +10,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from gpu.mesh import Mesh
+from gpu.zbuffer import Floats, Visible, rasterise
 from service.inference.articulation import Articulation, part_transforms
 from service.inference.state import Poses
-from service.simulate.raster import Floats, Visible, rasterise
 
 _SHADOW_SIZE_PX = 512
 _SHADOW_BIAS_PX = 1.5

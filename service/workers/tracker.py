@@ -60,6 +60,7 @@ from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
 from service.workers.restoring import check_restored
 from service.workers.scoring import Scorers, TimedScorer
+from service.workers.shading import Shading
 from service.workers.shared_scorer import Opener
 from service.workers.smoothing import belief_after, smooth_pass, with_rates
 from service.workers.splitting import SplitJob
@@ -166,9 +167,10 @@ class Tracker:
         chosen = job.config.filter
         stream = np.array([chosen.seed, job.frame_index], np.uint64)
         with self._scorers.lend(job.model, chosen.backend, mesh, chosen.particles) as scorer:
+            shade = Shading(mesh, articulation, maps)
             timed, rng = TimedScorer(scorer, articulation), np.random.Generator(np.random.Philox(key=stream))
             resident = self._steps.of(scorer, job.config, domain)
-            state, estimate = step(rng, job.state, frame, timed, job.config, domain, twins, resident)
+            state, estimate = step(rng, job.state, frame, timed, job.config, domain, twins, resident, shade)
             scored_by, score_s = scorer.name, timed.seconds
             if resident is not None and resident.used:
                 scored_by, score_s = f"{scored_by} (step on the device)", resident.seconds

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 from gpu.mesh import Mesh, Part
+from gpu.zbuffer import rasterise
 from service.inference.articulation import Articulation
 from service.inference.state import Poses
-from service.simulate.raster import rasterise
 from service.simulate.render import Light, Renderer
 
 
