@@ -24,7 +24,7 @@ def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = No
     """The basins whose peaks the frame's likelihood leaves in play, best first.
 
     Of each set of twins the one nearest to ``anchor`` (one pose), or to the best island. A ``glance`` looks at fewer
-    starts: the track may stand, and the frame must not wait.
+    starts, and at light and shade of its last islands only: the track may stand, and the frame must not wait.
     """
     domain, metric = update.domain, update.metric
     starts, stages = update.config.filter.acquisition_particles, STAGES
@@ -33,7 +33,7 @@ def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = No
     poses = place(update.rng, domain, evidence, update.score_maps, starts)
     islands = scatter(poses, update.score(poses), metric, stages[0][0], search_reach(domain))
     for stage, (count, rounds, draws) in enumerate(stages):
-        if stage > 0:  # before, they are too far from their peaks, and too many
+        if stage > 0 and not glance:  # before, they are too far from their peaks, and too many
             islands = shaded(update, strongest(islands, metric, 2 * count))
         islands = strongest(islands, metric, count)
         islands = refine(update.rng, islands, update.score, domain.contains, rounds, draws)
