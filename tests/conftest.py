@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from astropy.utils import iers
 from hypothesis import settings
 from postgres_server import Postgres
 
@@ -14,6 +15,11 @@ ROOT = Path(__file__).resolve().parent.parent
 settings.register_profile("local", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+
+# astropy, which tests compare with, is not to go to the network, and the data it has will do however old they get.
+iers.conf.auto_download = False
+iers.conf.auto_max_age = None
 
 
 @pytest.fixture(scope="session")

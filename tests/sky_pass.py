@@ -4,7 +4,6 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
-from astropy.utils import iers
 
 SITES = {"vienna": (48.23, 16.34), "paranal": (-24.63, -70.40)}
 UP_DEG = 17.0
@@ -17,14 +16,13 @@ def sky_camera(kind: str, site: str, moment, azimuth: float, elevation: float):
     The image's up lies ``UP_DEG`` from north (``equatorial``) or from the zenith (``altaz``), north through east.
     """
     latitude, longitude = SITES[site]
-    with iers.conf.set_temp("auto_download", False):
-        frame = AltAz(obstime=Time(moment), location=EarthLocation.from_geodetic(longitude, latitude, 500))
-        looked = SkyCoord(azimuth * u.deg, elevation * u.deg, frame=frame)
-        centre = looked.icrs
-        if kind == "altaz":
-            above = looked.directional_offset_by(-UP_DEG * u.deg, 1e-3 * u.deg).icrs
-        else:
-            above = centre.directional_offset_by(UP_DEG * u.deg, 1e-3 * u.deg)
+    frame = AltAz(obstime=Time(moment), location=EarthLocation.from_geodetic(longitude, latitude, 500))
+    looked = SkyCoord(azimuth * u.deg, elevation * u.deg, frame=frame)
+    centre = looked.icrs
+    if kind == "altaz":
+        above = looked.directional_offset_by(-UP_DEG * u.deg, 1e-3 * u.deg).icrs
+    else:
+        above = centre.directional_offset_by(UP_DEG * u.deg, 1e-3 * u.deg)
     forward, upward = (point.cartesian.xyz.value for point in (centre, above))
     up = upward - (upward @ forward) * forward
     return forward, up / np.linalg.norm(up), centre

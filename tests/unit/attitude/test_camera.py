@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
-from astropy.utils import iers
 
 from service.attitude.absolute import absolute_quaternion, body_rate, camera_rate, covariance_in_gcrf
 from service.attitude.camera import Site, camera_axes, equatorial_camera, towards, zenith
@@ -75,13 +74,12 @@ def test_a_mirrored_silhouette_gives_the_same_attitude(mirrored):
 def test_azimuth_and_elevation_against_astropy(site, azimuth, elevation):
     mount = Mount("altaz", up_angle_deg=25.0, site=site)
     camera = camera_orientation(Pointing(azimuth_deg=azimuth, elevation_deg=elevation), mount, MOMENT)
-    with iers.conf.set_temp("auto_download", False):
-        place = EarthLocation.from_geodetic(site.longitude_deg, site.latitude_deg, 100)
-        frame = AltAz(obstime=Time(MOMENT), location=place)
-        # Up in the image: 25 degrees from the zenith in the sense north through east, towards lower azimuths.
-        looked = SkyCoord(azimuth * u.deg, elevation * u.deg, frame=frame)
-        upward = looked.directional_offset_by(-25 * u.deg, 0.1 * u.deg)
-        stars = [point.transform_to("icrs").cartesian.xyz.value for point in (looked, upward)]
+    place = EarthLocation.from_geodetic(site.longitude_deg, site.latitude_deg, 100)
+    frame = AltAz(obstime=Time(MOMENT), location=place)
+    # Up in the image: 25 degrees from the zenith in the sense north through east, towards lower azimuths.
+    looked = SkyCoord(azimuth * u.deg, elevation * u.deg, frame=frame)
+    upward = looked.directional_offset_by(-25 * u.deg, 0.1 * u.deg)
+    stars = [point.transform_to("icrs").cartesian.xyz.value for point in (looked, upward)]
     assert angle_deg(camera.to_gcrf[:, 2], stars[0]) < 0.007  # aberration: 20.5", not of a body near the Earth
     assert rotation_angle_deg(camera_axes(stars[0], stars[1], 0), camera.to_gcrf) < 0.02
     assert camera.earth is not None and camera.earth.known

@@ -15,12 +15,6 @@ MOMENTS = [datetime(2016, 12, 31, 23, 59, 59, tzinfo=UTC), datetime(2024, 3, 20,
 ARCSECOND = np.deg2rad(1 / 3600)
 
 
-@pytest.fixture(autouse=True)
-def no_download():
-    with iers.conf.set_temp("auto_download", False):
-        yield
-
-
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_earth_fixed_axes_are_astropys(moment):
     time = Time(moment)

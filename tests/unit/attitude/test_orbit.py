@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from astropy.coordinates import ITRS, TEME, AltAz, CartesianRepresentation, EarthLocation
 from astropy.time import Time
-from astropy.utils import iers
 from sgp4.api import Satrec
 from sgp4.exporter import export_omm
 
@@ -52,12 +51,11 @@ def test_range_and_direction_are_astropys(site, hours):
     where, moment = SITES[site], EPOCH + timedelta(hours=hours)
     found = Orbit(TLE).seen_from(where, moment)
     _, teme_km, _ = Satrec.twoline2rv(*TLE.splitlines()[1:]).sgp4(Time(moment).jd1, Time(moment).jd2)
-    with iers.conf.set_temp("auto_download", False):
-        time = Time(moment)
-        place = EarthLocation.from_geodetic(where.longitude_deg, where.latitude_deg, where.height_m)
-        fixed = TEME(CartesianRepresentation(teme_km * u.km), obstime=time).transform_to(ITRS(obstime=time))
-        topocentric = ITRS(fixed.cartesian - place.get_itrs(time).cartesian, obstime=time, location=place)
-        seen = topocentric.transform_to(AltAz(obstime=time, location=place))
+    time = Time(moment)
+    place = EarthLocation.from_geodetic(where.longitude_deg, where.latitude_deg, where.height_m)
+    fixed = TEME(CartesianRepresentation(teme_km * u.km), obstime=time).transform_to(ITRS(obstime=time))
+    topocentric = ITRS(fixed.cartesian - place.get_itrs(time).cartesian, obstime=time, location=place)
+    seen = topocentric.transform_to(AltAz(obstime=time, location=place))
     assert found.range_km == pytest.approx(seen.distance.km, abs=0.05)
     assert found.elevation_deg == pytest.approx(seen.alt.deg, abs=0.01)
     turn = (found.azimuth_deg - seen.az.deg + 180) % 360 - 180

@@ -4,7 +4,6 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import GCRS, ITRS, CartesianRepresentation
 from astropy.time import Time
-from astropy.utils import iers
 from golden import ROTATIONS, history
 from scipy.spatial.transform import Rotation
 
@@ -30,9 +29,8 @@ def test_every_rotation_takes_the_bodys_axes_to_earth_fixed_ones():
 
 
 def earth_fixed(gcrf, moment):
-    with iers.conf.set_temp("auto_download", False):
-        point = GCRS(CartesianRepresentation(np.array(gcrf) * 7000 * u.km), obstime=moment)
-        return point.transform_to(ITRS(obstime=moment)).cartesian.xyz.to_value(u.km) / 7000
+    point = GCRS(CartesianRepresentation(np.array(gcrf) * 7000 * u.km), obstime=moment)
+    return point.transform_to(ITRS(obstime=moment)).cartesian.xyz.to_value(u.km) / 7000
 
 
 def test_a_single_sample_is_a_constant():
