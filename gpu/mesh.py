@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,16 @@ class Mesh:
     def n_vertices(self) -> int:
         """Vertices over all parts."""
         return sum(len(part.vertices) for part in self.parts)
+
+    @cached_property
+    def faces(self) -> NDArray[np.int64]:
+        """(F, 3) faces of all parts, their vertices counted one part after the other."""
+        offsets = np.cumsum([0, *(len(part.vertices) for part in self.parts)])
+        return np.vstack([part.faces + first for part, first in zip(self.parts, offsets[:-1], strict=True)])
+
+    def placed(self, transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(V, 3) vertices of all parts, each part moved by its own of ``transforms`` (P, 3, 4)."""
+        return np.vstack([p.vertices @ m[:, :3].T + m[:, 3] for p, m in zip(self.parts, transforms, strict=True)])
 
 
 def load_mesh(data: bytes, file_type: str) -> Mesh:

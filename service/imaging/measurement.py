@@ -13,7 +13,9 @@ out).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import cv2
@@ -47,7 +49,7 @@ class FrameMaps:
     log_ratio: NDArray[np.float32]  # (H, W) Eq. 3
     log_background: float  # Eq. 2's constant: sum of log p(D|b) - log p(D)
     psf_sigma_px: float | None  # width of the point spread that was used
-    brightness: NDArray[np.float32] | None = None  # (H, W) above the sky, in units of a pixel's noise
+    brightness: Callable[[], NDArray[np.float32]] | None = None  # (H, W) above the sky, in units of a pixel's noise
 
 
 def measure(
@@ -59,14 +61,13 @@ def measure(
     usual_psf_sigma_px: float | None = None,
     covered_empty_nats: float,
     uncovered_bright_nats: float,
-    edge_nats_per_px: float = 0.6,
-    search: bool = True,
+    edge_nats_per_px: float | None = None,
 ) -> FrameMaps:
     """Measure a frame (H, W) or (H, W, C) against the sky.
 
-    ``search``: the whole space is searched with it; while a track is followed ``edge_nats_per_px`` counts instead (see
-    ``even_edge``). ``psf_sigma_px`` is the point-spread width where it is known; otherwise the frame's own estimate is
-    averaged with ``usual_psf_sigma_px``, the one of the frames before.
+    ``edge_nats_per_px``: see ``even_edge``, for a track that is followed; None where the whole space is searched.
+    ``psf_sigma_px`` is the point-spread width where it is known; otherwise the frame's own estimate is averaged with
+    ``usual_psf_sigma_px``, the one of the frames before.
     """
     log_background = log_constant(image, sky)
     if kind == "histogram":
@@ -82,12 +83,17 @@ def measure(
         psf_sigma_px=psf_sigma_px,
         covered_empty_nats=covered_empty_nats,
         uncovered_bright_nats=uncovered_bright_nats,
-        search=search,
+        search=edge_nats_per_px is None,
     )
-    if not search:
+    if edge_nats_per_px is not None:
         log_ratio = even_edge(log_ratio, covered_empty_nats, edge_nats_per_px)
-    brightness = np.sum(residual / sky.sigma, axis=2) / np.float32(np.sqrt(residual.shape[2]))
-    return FrameMaps(log_ratio, log_background, psf_sigma_px, np.asarray(brightness, np.float32))
+    return FrameMaps(log_ratio, log_background, psf_sigma_px, partial(brightness, residual, sky))
+
+
+def brightness(residual: NDArray[np.float32], sky: Sky) -> NDArray[np.float32]:
+    """(H, W) light above the sky over all channels, in units of a pixel's noise."""
+    total = np.sum(residual / sky.sigma, axis=2) / np.float32(np.sqrt(residual.shape[2]))
+    return np.asarray(total, np.float32)
 
 
 def even_edge(log_ratio: NDArray[np.float32], least: float, rise: float) -> NDArray[np.float32]:

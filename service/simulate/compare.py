@@ -79,7 +79,4 @@ def joint_error(joint: Joint, found: float, truth: float) -> float:
 def silhouette(mesh: Mesh, articulation: Articulation, pose: Poses, size: tuple[int, int]) -> NDArray[np.bool_]:
     """(H, W) pixels whose centre the body at a pose (one of them) covers."""
     transforms = part_transforms(articulation, pose)[0].astype(np.float64)
-    corners = [
-        (part.vertices @ m[:, :3].T + m[:, 3])[part.faces] for part, m in zip(mesh.parts, transforms, strict=True)
-    ]
-    return np.asarray(rasterise(np.concatenate(corners), *size).face >= 0)
+    return np.asarray(rasterise(mesh.placed(transforms)[mesh.faces], *size).face >= 0)

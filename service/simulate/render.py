@@ -54,11 +54,8 @@ class Renderer:
 
     def __init__(self, mesh: Mesh, articulation: Articulation, rng: np.random.Generator) -> None:
         self._articulation = articulation
-        self._vertices = [part.vertices for part in mesh.parts]
-        offsets = np.cumsum([0, *(len(v) for v in self._vertices)])
-        self._faces = np.vstack([p.faces + o for p, o in zip(mesh.parts, offsets[:-1], strict=True)])
-        self._radius = mesh.radius
-        self._reflectance = _reflectances(self._faces, int(offsets[-1]), rng)
+        self._mesh = mesh
+        self._reflectance = _reflectances(mesh.faces, mesh.n_vertices, rng)
 
     def render(self, poses: Poses, size: tuple[int, int], light: Light, oversample: int = 3) -> Picture:
         """The body at a pose (one of them) in an image of ``size`` (width, height)."""
@@ -66,7 +63,7 @@ class Renderer:
         width, height = size[0] * oversample, size[1] * oversample
         visible = rasterise(corners, width, height)
         sun = light.direction()
-        radius = self._radius * float(np.exp(poses.log_scale[0])) * oversample
+        radius = self._mesh.radius * float(np.exp(poses.log_scale[0])) * oversample
         centre = np.array([*(poses.position[0] * oversample), 0.0])
         radiance = self._shade(corners, visible, light, _shadow(corners, visible, sun, centre, radius))
         covered = (visible.face >= 0).astype(np.float32)
@@ -74,8 +71,7 @@ class Renderer:
 
     def _corners(self, poses: Poses) -> Floats:
         transforms = part_transforms(self._articulation, poses)[0].astype(np.float64)
-        moved = [v @ m[:, :3].T + m[:, 3] for v, m in zip(self._vertices, transforms, strict=True)]
-        return np.asarray(np.vstack(moved)[self._faces])
+        return np.asarray(self._mesh.placed(transforms)[self._mesh.faces])
 
     def _shade(self, corners: Floats, visible: Visible, light: Light, lit: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Lambert and Blinn-Phong per facet; the side that is seen is the side that is lit."""

@@ -52,8 +52,7 @@ def observe(image: Image, sky: Sky, config: SessionConfig, memory: Memory) -> Ob
         usual_psf_sigma_px=float(np.asarray(memory["psf_sigma_px"])) if "psf_sigma_px" in memory else None,
         covered_empty_nats=likelihood.covered_empty_nats,
         uncovered_bright_nats=likelihood.uncovered_bright_nats,
-        edge_nats_per_px=likelihood.edge_nats_per_px,
-        search=searched,
+        edge_nats_per_px=None if searched else likelihood.edge_nats_per_px,
     )
     return Observation(maps, None)
 

@@ -29,14 +29,7 @@ class Shading:
         maps = self._maps
         if maps.brightness is None or maps.psf_sigma_px is None:
             return None
-        return cut_patch(maps.brightness, maps.log_ratio, maps.psf_sigma_px)
-
-    @cached_property
-    def _faces(self) -> NDArray[np.int64]:
-        """(F, 3) of all parts, their vertices in one row."""
-        parts = self._mesh.parts
-        offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
-        return np.vstack([part.faces + first for part, first in zip(parts, offsets[:-1], strict=True)])
+        return cut_patch(maps.brightness(), maps.log_ratio, maps.psf_sigma_px)
 
     def __call__(self, poses: Poses) -> Array:
         """(N,) what ``explained`` says of each; 0 where the frame's light cannot be told from the sky's."""
@@ -48,10 +41,9 @@ class Shading:
 
     def _draw(self, transforms: Array, patch: Patch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(S, S, 3) normals towards the camera and (S, S) coverage of one pose, in the patch."""
-        side = len(patch.brightness)
-        moved = [part.vertices @ m[:, :3].T + m[:, 3] for part, m in zip(self._mesh.parts, transforms, strict=True)]
-        vertices = (np.vstack(moved) - [*patch.origin, 0.0]) * patch.zoom
-        corners = vertices[self._faces[drawable(vertices, self._faces, side, side)]]
+        side, faces = len(patch.brightness), self._mesh.faces
+        vertices = (self._mesh.placed(transforms) - [*patch.origin, 0.0]) * patch.zoom
+        corners = vertices[faces[drawable(vertices, faces, side, side)]]
         face = rasterise(corners, side, side).face
         seen = face >= 0
         a, b, c = np.moveaxis(corners[face[seen]], 1, 0)

@@ -34,7 +34,7 @@ def maps_of(mesh, articulation, poses: Poses, light: Light) -> FrameMaps:
     picture = Renderer(mesh, articulation, np.random.default_rng(4)).render(poses, SIZE, light)
     brightness = (60.0 * picture.radiance + rng.standard_normal(picture.radiance.shape)).astype(np.float32)
     log_ratio = np.where(brightness > 4, 3.0, -0.5).astype(np.float32)
-    return FrameMaps(log_ratio, 0.0, 0.5, brightness)
+    return FrameMaps(log_ratio, 0.0, 0.5, lambda: brightness)
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 100.0, 230.0])
