@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 SIDE_PX = 64  # of the patch at most: facets are flat, so coarse is enough
 MARGIN = 0.25  # of the object's extent, on each side
 LEAST_COMPONENT = 0.05  # of the largest one's area
+EVERY = 2  # pixels are enough
 ROUNDS = 3
 TOWARDS_SUN = np.array([[0, 0, -1], [0.87, 0, -0.5], [-0.43, 0.75, -0.5], [-0.43, -0.75, -0.5]])  # the first guesses
 OUTLIER = 3.0  # medians of the residual, beyond which a pixel pulls no more than one there
@@ -35,14 +36,16 @@ class Patch:
     blur_px: float  # standard deviation of the point spread, px of the patch
 
 
-def cut_patch(brightness: NDArray[np.float32], log_ratio: NDArray[np.float32], psf_sigma_px: float) -> Patch | None:
+def cut_patch(
+    brightness: NDArray[np.float32], log_ratio: NDArray[np.float32], psf_sigma_px: float, side_px: int = SIDE_PX
+) -> Patch | None:
     """What there is to shade: (H, W) ``brightness`` around the light in ``log_ratio``. None where there is none."""
     box = _extent(log_ratio > 0)
     if box is None:
         return None
     low, high = box
     half = 0.5 * float(np.max(high - low)) * (1 + 2 * MARGIN) + 4.0
-    zoom = min(1.0, SIDE_PX / (2 * half))
+    zoom = min(1.0, side_px / (2 * half))
     side = int(np.ceil(2 * half * zoom))
     origin = 0.5 * (low + high) - half
     grid = ((np.arange(side) + 0.5) / zoom - 0.5).astype(np.float32)
@@ -65,19 +68,38 @@ def explained(patch: Patch, normals: NDArray[np.float32], covered: NDArray[np.fl
     """
     spread = cv2.GaussianBlur(np.dstack([normals, covered]), (0, 0), patch.blur_px)
     region = cv2.dilate((patch.light | (spread[..., 3] > 0.3)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    seen = patch.brightness[region].astype(np.float64)
-    normal, even = spread[region][:, :3].astype(np.float64), spread[region][:, 3:].astype(np.float64)
-    least = total = float(np.abs(seen).sum())
+    some = np.flatnonzero(region)[::EVERY]
+    seen = patch.brightness.ravel()[some].astype(np.float64)
+    drawn = np.asarray(spread.reshape(-1, 4)[some], np.float64)
+    normal, even = drawn[:, :3], drawn[:, 3:]
+    total = float(np.abs(seen).sum())
+    least, _ = _fit_light(normal, even, seen)
+    return float(np.log(max(total, 1e-12) / max(min(least, total), 1e-12)))
+
+
+def first_light(spread: Floats, seen: Floats) -> Floats:
+    """(4,) share of the sun along each axis, and of the even light, that explain ``seen`` (n,) best.
+
+    ``spread`` (n, 4) is blurred: normals, and how far a pixel is covered.
+    """
+    return _fit_light(spread[:, :3], spread[:, 3:], seen)[1]
+
+
+def _fit_light(normal: Floats, even: Floats, seen: Floats) -> tuple[float, Floats]:
+    """The least sum of absolute residuals, over the guesses and rounds, and the light (4,) that leaves it."""
+    least, light = np.inf, np.zeros(4)
     sun, weight = TOWARDS_SUN, np.ones((len(TOWARDS_SUN), len(seen)))
     for _ in range(ROUNDS):  # of all guesses at once
         lit = sun @ normal.T > 0  # (G, n)
         basis = np.concatenate([lit[..., None] * normal, np.broadcast_to(even, (*lit.shape, 1))], axis=2)
         share = _least_squares(basis, seen, weight)
         left = np.abs(seen - np.einsum("gnk,gk->gn", basis, share))
-        least = min(least, float(left.sum(axis=1).min()))
+        sums = left.sum(axis=1)
+        if float(sums.min()) < least:
+            least, light = float(sums.min()), share[int(np.argmin(sums))]
         weight = 1.0 / np.maximum(1.0, left / (OUTLIER * np.median(left, axis=1, keepdims=True) + 1e-9))
         sun = share[:, :3]
-    return float(np.log(max(total, 1e-12) / max(least, 1e-12)))
+    return least, light
 
 
 def _least_squares(basis: Floats, seen: Floats, weight: Floats) -> Floats:

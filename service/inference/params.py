@@ -89,7 +89,7 @@ class LikelihoodParams:
     """What is measured in each pixel; `auto` takes colour where the frames have it."""
     gradient_sigma_px: float = 1.0
     """Scale of the derivative image for `gradient`."""
-    exponent: float = 0.13
+    exponent: float = 0.05
     """Power of the likelihood of a perfect fit: neighbouring pixels are not independent. 1 is the paper's product over
     pixels."""
     misfit_nats: float = 4.3
@@ -108,9 +108,13 @@ class LikelihoodParams:
     shading_nats: float = 800.0
     """`contrast`: while searching, what it is worth, before `mode_exponent`, if a sunlit body leaves e times less of
     the brightness over. 0: outlines alone."""
+    shading_power: float = 8.0
+    """`contrast`, `importance`: power of the likelihood of light and shade, from one pose to another near it, as a
+    multiple of `exponent`'s. 0: outlines alone."""
 
     def __post_init__(self) -> None:
         _require(0 <= self.shading_nats <= 1e6, "shading_nats must lie in [0, 1000000]")
+        _require(0 <= self.shading_power <= 1000, "shading_power must lie in [0, 1000]")
         _require(0.1 <= self.gradient_sigma_px <= 50, "gradient_sigma_px must be between 0.1 and 50")
         _require(0 < self.exponent <= 1, "exponent must lie in (0, 1]")
         _require(1e-3 <= self.misfit_nats <= 1e9, "misfit_nats must be between 0.001 and 1e9")
@@ -155,11 +159,11 @@ class MotionParams:
     kind: Literal["jitter", "constant_velocity"] = "constant_velocity"
     """`jitter`: a random step (the paper). `constant_velocity`: each particle carries the rates that its own path
     implies."""
-    rotation_deg: float = 1.5
+    rotation_deg: float = 2.5
     """Rotation, about each axis."""
-    position: float = 0.03
+    position: float = 0.05
     """Position, as a share of the image's shorter side."""
-    log_scale: float = 0.01
+    log_scale: float = 0.016
     """Scale, as a relative change."""
     joint_deg: float = 3.0
     """Revolute joints."""
@@ -167,7 +171,7 @@ class MotionParams:
     """Prismatic joints, as a share of their range."""
     rate_spread: float = 10.0
     """`constant_velocity`: standard deviation of a rate that nothing is known of, per second, as a multiple of the
-    jitter above (10: 15 degrees per second)."""
+    jitter above (10: 25 degrees per second)."""
     rate_change: float = 2.0
     """`constant_velocity`: by how much a rate may change within a second, as a multiple of the jitter above."""
     frame_interval_s: float = 0.1

@@ -12,15 +12,16 @@ from service.inference.islands import Islands, refine
 from service.inference.mixture import Draws
 from service.inference.modes import cluster, distance, short_way
 from service.inference.motion import carry_on
-from service.inference.pose import local
-from service.inference.state import Poses
+from service.inference.pose import concatenate, local
+from service.inference.slope import sloped
+from service.inference.state import Array, Poses
 from service.inference.symmetry import Symmetry, twin, twin_rates
 from service.inference.update import Update
 from service.inference.weights import normalise
 
 Memory = Mapping[str, NDArray[np.generic]]
 
-SHARPEN_ROUNDS, SHARPEN_DRAWS = 8, 24
+SHARPEN_ROUNDS, SHARPEN_DRAWS = 4, 24
 BEST_FIT_ROUNDS, BEST_FIT_DRAWS = 10, 40
 LEAST_SHARE = 0.1  # of the posterior, that a mode must hold to be preferred for its continuity
 TWIN_NATS = 1.0  # by which another twin must explain the frame better before the filter changes sides
@@ -28,7 +29,8 @@ TWIN_NATS = 1.0  # by which another twin must explain the frame better before th
 
 def sharpen(update: Update, draws: Draws) -> tuple[Poses, float]:
     """The pose of highest likelihood near the best particle of the preferred mode: a cross-entropy search."""
-    top = int(np.argmax(np.where(_preferred(update, draws), draws.log_likelihood, -np.inf)))
+    value = draws.log_likelihood + sloped(draws.slopes, draws.poses, update.metric)
+    top = int(np.argmax(np.where(_preferred(update, draws), value, -np.inf)))
     return _climb(update, draws, top, 0.25, SHARPEN_ROUNDS, SHARPEN_DRAWS)
 
 
@@ -41,11 +43,13 @@ def likeliest_twin(update: Update, draws: Draws) -> Draws:
     if not update.twins:
         return draws
     exponent = update.config.likelihood.mode_exponent
-    sides = [draws, *(_through(update, draws, symmetry) for symmetry in update.twins)]
+    alone = replace(draws, slopes=())  # those of this side say nothing of another
+    sides = [alone, *(_through(update, alone, symmetry) for symmetry in update.twins)]
     tops = [int(np.argmax(side.log_likelihood)) for side in sides]
     rounds, per_round = BEST_FIT_ROUNDS, BEST_FIT_DRAWS
     fits = [_climb(update, side, top, 1.0, rounds, per_round) for side, top in zip(sides, tops, strict=True)]
     peaks = np.array([log_likelihood for _, log_likelihood in fits])
+    peaks += update.shading(concatenate(*(pose for pose, _ in fits)))
     top = int(np.argmax(peaks))
     return sides[top] if exponent * (peaks[top] - peaks[0]) > TWIN_NATS else draws
 
@@ -56,7 +60,8 @@ def _through(update: Update, draws: Draws, symmetry: Symmetry) -> Draws:
     log_likelihood = update.score(poses)
     gain = update.exponent() * (log_likelihood - draws.log_likelihood)
     rates = twin_rates(draws.rates, symmetry)
-    return replace(draws, poses=poses, rates=rates, log_likelihood=log_likelihood, log_weights=draws.log_weights + gain)
+    log_weights = draws.log_weights + gain
+    return replace(draws, poses=poses, rates=rates, log_likelihood=log_likelihood, log_weights=log_weights)
 
 
 def heading(update: Update, draws: Draws, best: Poses) -> Memory:
@@ -101,6 +106,11 @@ def _climb(update: Update, draws: Draws, top: int, widen: float, rounds: int, pe
     x = short_way(local(best, draws.poses[near]), update.metric)
     x = x - weights @ x
     covariance = widen * np.einsum("n,ni,nj->ij", weights, x, x) + 1e-8 * np.eye(x.shape[1])
-    start = Islands(best, draws.log_likelihood[top : top + 1], best, covariance[None], np.zeros(1))
-    peak = refine(update.rng, start, update.score, update.domain.contains, rounds, per_round)
-    return update.domain.wrap(peak.best), float(peak.log_likelihood[0])
+
+    def value(poses: Poses) -> Array:
+        return update.score(poses) + sloped(draws.slopes, poses, update.metric)
+
+    start = Islands(best, value(best), best, covariance[None], np.zeros(1))
+    peak = refine(update.rng, start, value, update.domain.contains, rounds, per_round)
+    log_likelihood = peak.log_likelihood - sloped(draws.slopes, peak.best, update.metric)
+    return update.domain.wrap(peak.best), float(log_likelihood[0])

@@ -9,12 +9,12 @@ import numpy as np
 from service.inference.acquisition import Evidence, place
 from service.inference.domain import Domain
 from service.inference.islands import Islands, refine, scatter, strongest
-from service.inference.mixture import Component
+from service.inference.proposal import Component
 from service.inference.state import Array, Poses
 from service.inference.symmetry import fold
 from service.inference.update import Update
 
-STAGES = ((64, 4, 24), (16, 5, 40), (6, 6, 60))  # islands, rounds, draws per round
+STAGES = ((64, 6, 24), (20, 6, 40), (8, 7, 50))  # islands, rounds, draws per round
 GLANCE = ((20, 4, 24), (8, 4, 40), (4, 5, 50))  # the same beside an established track
 GLANCE_SHARE = 0.25  # of the starts
 IN_PLAY_NATS = 6.0  # a basin whose peak lies further below the best, after the exponent, gets no particles
@@ -34,7 +34,7 @@ def search_islands(update: Update, evidence: Evidence, anchor: Poses | None = No
     islands = scatter(poses, update.score(poses), metric, stages[0][0], search_reach(domain))
     for stage, (count, rounds, draws) in enumerate(stages):
         if stage > 0 and not glance:  # before, they are too far from their peaks, and too many
-            islands = shaded(update, strongest(islands, metric, 2 * count))
+            islands = shaded(update, strongest(islands, metric, 3 * count // 2))
         islands = strongest(islands, metric, count)
         islands = refine(update.rng, islands, update.score, domain.contains, rounds, draws)
     islands = shaded(update, islands)

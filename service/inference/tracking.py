@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from service.inference.acquisition import Evidence, find_evidence, place
 from service.inference.domain import Domain
 from service.inference.metropolis import follow_by_moves, strew
-from service.inference.mixture import Component, Draws, component, join, posterior
+from service.inference.mixture import Draws, join, posterior
 from service.inference.modes import LEAST_MODE, MOST_MODES, cluster, distance
 from service.inference.motion import carry_on
 from service.inference.params import SessionConfig
 from service.inference.peak import heading, likeliest_twin, sharpen
 from service.inference.pose import retract
+from service.inference.proposal import Component, component
 from service.inference.resample import RESAMPLERS
 from service.inference.search import island_components, log_occam, search_islands, search_reach
 from service.inference.state import FilterState, Frame, Outcome, Poses
@@ -82,7 +83,7 @@ def follow(update: Update) -> Draws:
 def mixture_posterior(update: Update, parts: list[Component], exponent: float) -> Draws:
     """Weighted particles of the modes ``parts`` under this frame."""
     between, count = update.config.likelihood.mode_exponent, update.config.filter.particles
-    return posterior(update.rng, parts, update.score, exponent, count, between)
+    return posterior(update.rng, parts, update.score, exponent, count, between, update.slope)
 
 
 def predicted_components(update: Update) -> list[Component]:
@@ -140,7 +141,7 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None, glance: bo
     )
     total = float(np.logaddexp(known, new)) - float(np.log(len(pick)))
     equal = np.full(len(pick), total)
-    return Draws(both.poses[pick], both.rates[pick], both.log_likelihood[pick], equal)
+    return Draws(both.poses[pick], both.rates[pick], both.log_likelihood[pick], equal, {}, both.slopes)
 
 
 def even_start(update: Update) -> float:

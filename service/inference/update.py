@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,38 @@ from service.inference.domain import Domain
 from service.inference.modes import Metric, metric_of
 from service.inference.motion import RateFilter, rate_filter
 from service.inference.params import SessionConfig
+from service.inference.slope import Slope
 from service.inference.state import Array, FilterState, Frame, Poses
 from service.inference.symmetry import Symmetry
 
 ScoreMaps = Callable[[Poses, NDArray[np.float32]], Array]
-Shade = Callable[[Poses], Array]  # (N,) log of how many times less of the brightness each leaves over than no body does
+
+
+class Brightness(Protocol):
+    """Log-likelihood of a frame's brightness near a pose, to second order."""
+
+    @property
+    def gradient(self) -> Array:
+        """(d,) at the pose."""
+
+    @property
+    def curvature(self) -> Array:
+        """(d, d) of its negative, positive semi-definite."""
+
+    @property
+    def pixels(self) -> float:
+        """How many independent ones it is told by."""
+
+
+class Shade(Protocol):
+    """A frame's light and shade, held against bodies."""
+
+    def __call__(self, poses: Poses) -> Array:
+        """(N,) log of how many times less of the brightness each leaves over than no body does."""
+
+    def near(self, pose: Poses) -> Brightness | None:
+        """What the brightness says near one pose; None where it says nothing."""
+
 
 MOST_SURPRISE = 3.0
 
@@ -64,6 +92,12 @@ class Update:
         """(N,) nats by which light and shade inside of the outline speak for each pose."""
         worth = self.config.likelihood.shading_nats
         return np.zeros(len(poses)) if self.shade is None or worth == 0 else worth * self.shade(poses)
+
+    def slope(self, pose: Poses) -> Slope | None:
+        """What light and shade say of the poses near one."""
+        power = self.config.likelihood.shading_power
+        near = None if self.shade is None or power == 0 else self.shade.near(pose)
+        return None if near is None else Slope(pose, power * near.gradient, power * near.curvature, power * near.pixels)
 
     def recall(self, name: str, otherwise: Array | float) -> Array:
         """Something remembered from earlier frames."""

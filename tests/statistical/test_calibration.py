@@ -11,10 +11,11 @@ from scipy import stats
 
 from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.domain import Domain
-from service.inference.mixture import Component, Draws, posterior
+from service.inference.mixture import Draws, posterior
 from service.inference.motion import rate_filter
 from service.inference.params import FilterParams, LikelihoodParams, MotionParams, PriorParams, SessionConfig
 from service.inference.pose import local, retract
+from service.inference.proposal import Component
 from service.inference.resample import multinomial
 from service.inference.state import FilterState, Frame, Measurement, Poses
 from service.inference.tracking import follow

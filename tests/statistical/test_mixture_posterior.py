@@ -9,8 +9,9 @@ the space is flat to some 1e-4.
 import numpy as np
 import pytest
 
-from service.inference.mixture import Component, Proposal, draw, posterior
+from service.inference.mixture import draw, posterior
 from service.inference.pose import exp_so3, local, multiply, retract
+from service.inference.proposal import Component, Proposal
 from service.inference.state import Poses
 from service.inference.weights import normalise
 

@@ -10,26 +10,28 @@ from scipy import stats
 
 from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.mixture import (
-    INFLATION,
     LEAST_PARTICLES,
-    ROUND_ESS,
     TAIL,
-    Component,
     Draws,
-    Proposal,
-    adapt,
-    component,
     draw,
     join,
-    log_density,
     log_t_constant,
     posterior,
-    prediction,
     share_out,
-    steepest_exponent,
 )
 from service.inference.modes import metric_of
 from service.inference.pose import local, retract
+from service.inference.proposal import (
+    INFLATION,
+    ROUND_ESS,
+    Component,
+    Proposal,
+    adapt,
+    component,
+    log_density,
+    prediction,
+    steepest_exponent,
+)
 from service.inference.state import Poses
 from service.inference.weights import effective_sample_size
 

@@ -142,10 +142,10 @@ def test_the_prediction_keeps_widening_while_nothing_is_seen(outage, domain):
 def test_a_gap_without_frames_is_crossed_too(run):
     """A second and a half without any frame: 18 degrees of turn later the block is found, by the third frame."""
     times = [0.1 * k for k in range(6)] + [2.0 + 0.1 * k for k in range(3)]
-    told = run("importance", times, range(0))
-    assert told[-1].estimate.status in ("acquiring", "tracking")
-    assert told[-1].estimate.best_log_likelihood > 0.9 * told[-1].perfect
-    assert off_deg(told[-1]) < 15
+    last = [run("importance", times, range(0), seed)[-1] for seed in range(5)]
+    assert all(told.estimate.status in ("acquiring", "tracking") for told in last)
+    assert all(told.estimate.best_log_likelihood > 0.9 * told.perfect for told in last)
+    assert np.median([off_deg(told) for told in last]) < 15
 
 
 def test_a_pass_that_begins_with_empty_frames(run):

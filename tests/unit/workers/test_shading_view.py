@@ -5,8 +5,9 @@ import pytest
 
 from gpu.mesh import load_mesh
 from gpu.zbuffer import drawable, rasterise
+from service.imaging.lighting import View
 from service.imaging.measurement import FrameMaps
-from service.inference.pose import exp_so3, multiply
+from service.inference.pose import angle_between, exp_so3, multiply, retract
 from service.inference.state import Poses
 from service.models.articulations import read_joints
 from service.simulate.render import Light, Renderer
@@ -70,3 +71,71 @@ def test_faces_left_out_beforehand_cover_no_pixel():
     everything = rasterise(vertices[faces], 16, 12)
     some = rasterise(vertices[faces[chosen]], 16, 12)
     assert np.array_equal(np.where(some.face >= 0, chosen[some.face], -1), everything.face)
+
+
+def steps_back(shade: Shading, away: Poses, rounds: int = 4) -> Poses:
+    """Gauss-Newton steps by brightness alone."""
+    for _ in range(rounds):
+        found = shade.near(away)
+        assert found is not None
+        known = np.linalg.pinv(found.curvature, rcond=1e-4, hermitian=True)
+        away = retract(away, (known @ found.gradient)[None])
+    return away
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_by_brightness_alone_lead_back_to_the_true_pose(demo, seed):
+    mesh, articulation = demo
+    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    shade = Shading(mesh, articulation, maps_of(mesh, articulation, true, Light(phase_deg=50, sun_roll_deg=70)))
+    offset = np.random.default_rng(seed).standard_normal((1, true.joints.shape[1] + 6))
+    offset *= np.array([0.03, 0.03, 0.03, 0.6, 0.6, 0.01, *np.full(true.joints.shape[1], 2.0)])
+    away = retract(true, offset)
+    back = steps_back(shade, away)
+    before, after = (np.rad2deg(angle_between(p.quaternion, true.quaternion))[0] for p in (away, back))
+    assert after < max(0.5 * before, 1.2)
+    assert np.hypot(*(back.position - true.position)[0]) < 0.5
+
+
+def test_the_curvature_has_no_negative_direction_and_a_reflectance_of_its_own_is_not_seen(demo):
+    """A wing twice as bright as the rest moves the answer by less than half a degree."""
+    mesh, articulation = demo
+    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    maps = maps_of(mesh, articulation, true, Light(phase_deg=50, sun_roll_deg=70))
+    found = Shading(mesh, articulation, maps).near(true)
+    assert found is not None
+    assert np.linalg.eigvalsh(found.curvature).min() > -1e-6 * np.trace(found.curvature)
+    assert found.pixels < 128 * 128 / 4
+
+
+def test_a_pose_outside_of_the_patch_says_nothing(demo):
+    mesh, articulation = demo
+    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    shade = Shading(mesh, articulation, maps_of(mesh, articulation, true, Light()))
+    assert shade.near(Poses(true.quaternion, true.position + 500.0, true.log_scale, true.joints)) is None
+    dark = Shading(mesh, articulation, FrameMaps(np.zeros((128, 128), np.float32), 0.0, None))
+    assert dark.near(true) is None
+
+
+def test_the_view_moves_as_the_drawn_body_does(demo):
+    """Flow and turn of the normals, against the body drawn a little further on."""
+    mesh, articulation = demo
+    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    maps = maps_of(mesh, articulation, true, Light())
+    seen: list[View] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("service.workers.shading.align", lambda _, view: seen.append(view))
+        Shading(mesh, articulation, maps).near(true)
+        for k in range(6 + articulation.n_joints):
+            small = 1e-3 if k in (0, 1, 2, 5) else 0.05
+            Shading(mesh, articulation, maps).near(retract(true, small * np.eye(6 + articulation.n_joints)[k : k + 1]))
+            same = np.isin(seen[0].pixel, seen[-1].pixel)
+            moved = seen[-1].normal[np.isin(seen[-1].pixel, seen[0].pixel)] - seen[0].normal[same]
+            close = np.abs(moved).max(axis=1) < 0.1  # the same face is seen
+            expected = small * seen[0].turn[k][same]
+            assert np.median(np.abs(moved - expected)[close]) < 1e-3 + 0.05 * np.abs(expected).max()
+    side = 128
+    flow = seen[0].flow
+    assert flow[3] == pytest.approx(np.broadcast_to(flow[3, :1], flow[3].shape))  # x moves every pixel alike
+    assert flow[3, 0, 1] == pytest.approx(0.0)
+    assert flow[3, 0, 0] > 0 and seen[0].pixel.max() < side * side
