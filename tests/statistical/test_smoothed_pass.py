@@ -67,8 +67,8 @@ def compare(track, filtered, smoothed) -> dict[str, float]:
 def test_smoothing_gains_on_the_filter(tracker):
     """The rate, geometric mean over the seeds of each pass's median, with an honest spread, at no cost in orientation.
 
-    Means are held against means: a frame's ``best`` is the likelihood's alone. Errors of orientation are mostly those of
-    the model, light and shade, which neighbouring frames share: averaging gains nothing there.
+    Means are held against means: a frame's ``best`` is the likelihood's alone. Errors of orientation are mostly those
+    of the model, which neighbouring frames share: averaging gains nothing there.
     """
     report = tracker.prepare_model(ModelJob(demo_satellite(), "glb"))
     passes = [errors(seed, tracker, report) for seed in SEEDS]
