@@ -33,10 +33,17 @@ VARIANTS = (
     Variant("colour", "brightness instead of colour", {"likelihood": {"feature": "intensity"}}),
     Variant("price", "unlit parts cost twice as much", {"likelihood": {"covered_empty_nats": 1.0}}),
     Variant("edge", "light costs as much at its edge as inside", {"likelihood": {"edge_nats_per_px": 1e9}}),
-    Variant("shading", "outlines alone, no light and shade inside of them", {"likelihood": {"shading_nats": 0.0}}),
+    Variant(
+        "shading",
+        "outlines alone, no light and shade inside of them",
+        {"likelihood": {"shading_nats": 0.0, "shading_power": 0.0}},
+    ),
+    Variant("alignment", "light and shade choose between basins, refine none", {"likelihood": {"shading_power": 0.0}}),
     Variant("exponent", "every pixel independent: exponent 1", {"likelihood": {"exponent": 1.0, "misfit_nats": 1e9}}),
-    Variant("misfit", "one exponent whatever the fit: 0.07", {"likelihood": {"exponent": 0.07, "misfit_nats": 1e9}}),
-    Variant("modes", "far modes weighed by a power as near poses are: 0.13", {"likelihood": {"mode_exponent": 0.13}}),
+    Variant("misfit", "one exponent whatever the fit: 0.027", {"likelihood": {"exponent": 0.027, "misfit_nats": 1e9}}),
+    Variant(
+        "modes", "one frame decides between far modes by more: power 0.13", {"likelihood": {"mode_exponent": 0.13}}
+    ),
     Variant("twins", "the filter is not told of the body's symmetries", twins=False),
     Variant("velocity", "jitter instead of constant velocity", {"motion": {"kind": "jitter"}}),
     Variant(

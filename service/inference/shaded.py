@@ -28,16 +28,24 @@ def shade(
 ) -> tuple[list[Component], list[Adapted]]:
     """The modes ``parts``, each with its proposal: those that count also follow light and shade.
 
-    ``between`` is the likelihood's power from mode to mode, ``exponent`` that within one.
+    ``between`` is the likelihood's power from mode to mode, ``exponent`` that within one. A mode's weight stays that of
+    its outline: a slope is sharper where more is seen, and says nothing of how well its best pose explains the frame.
     """
+    refined: list[tuple[Component, Adapted]] = []
     pairs = list(zip(parts, adapted, strict=True))
-    shares = [part.log_weight + a.log_evidence + (between - exponent) * a.peak for part, a in pairs]
-    least = max(shares) + np.log(LEAST_SHADED)
-    refined = [
-        shade_mode(rng, *pair, score, exponent, slope_at) if share >= least else pair
-        for pair, share in zip(pairs, shares, strict=True)
-    ]
-    return [part for part, _ in refined], [a for _, a in refined]
+    shares = [_share(*pair, exponent, between) for pair in pairs]
+    for pair, share in zip(pairs, shares, strict=True):
+        if share >= max(shares) + np.log(LEAST_SHADED):
+            part, found = shade_mode(rng, *pair, score, exponent, slope_at)
+            more = share - _share(part, found, exponent, between)
+            pair = replace(part, log_weight=part.log_weight + more), found
+        refined.append(pair)
+    return [part for part, _ in refined], [found for _, found in refined]
+
+
+def _share(part: Component, found: Adapted, exponent: float, between: float) -> float:
+    """Log of a mode's weight, as ``mixture.posterior`` counts it."""
+    return part.log_weight + found.log_evidence + (between - exponent) * found.peak
 
 
 def shade_mode(
