@@ -65,15 +65,14 @@ def compare(track, filtered, smoothed) -> dict[str, float]:
 
 
 def test_smoothing_gains_on_the_filter(tracker):
-    """The rate, geometric mean over seeds of the passes' medians, with an honest spread; orientation at little cost.
+    """Orientation and rate, geometric means over the seeds of the passes' medians, with an honest spread.
 
-    Means are held against means: a frame's ``best`` is the likelihood's alone. Errors of orientation are mostly those
-    of the model, which neighbouring frames share: averaging gains nothing there. Eight seeds vary by a fifth.
+    Means are held against means: a frame's ``best`` is the likelihood's alone.
     """
     report = tracker.prepare_model(ModelJob(demo_satellite(), "glb"))
     passes = [errors(seed, tracker, report) for seed in SEEDS]
     found = {name: float(np.exp(np.mean(np.log([one[name] for one in passes])))) for name in passes[0]}
-    assert found["smoothed deg"] < 1.5 * found["filtered deg"]
+    assert found["smoothed deg"] < found["filtered deg"]
     assert found["smoothed deg/s"] < found["filtered deg/s"]
     assert found["smoothed spread deg"] < found["filtered spread deg"]
     assert found["smoothed within 2 sigma"] > 0.8
