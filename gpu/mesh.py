@@ -54,22 +54,27 @@ class Mesh:
         return np.vstack([part.faces + first for part, first in zip(self.parts, offsets[:-1], strict=True)])
 
     @cached_property
-    def surfaces(self) -> NDArray[np.int64]:
-        """(F,) which surface a face belongs to: connected, and facing about the same way."""
+    def pieces(self) -> NDArray[np.int64]:
+        """(F,) which of the body's pieces a face belongs to: those of one piece are joined by their vertices."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
-        vertices, faces = np.vstack([part.vertices for part in self.parts]), self.faces
+        faces, size = self.faces, self.n_vertices
         a, b = np.concatenate([faces[:, 0], faces[:, 1]]), np.concatenate([faces[:, 1], faces[:, 2]])
-        links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(vertices), len(vertices)))
-        piece = connected_components(links, directed=False)[1][faces[:, 0]]
+        links = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(size, size))
+        return np.asarray(connected_components(links, directed=False)[1][faces[:, 0]], np.int64)
+
+    @cached_property
+    def surfaces(self) -> NDArray[np.int64]:
+        """(F,) which surface a face belongs to: of one piece, and facing about the same way."""
+        vertices, faces = np.vstack([part.vertices for part in self.parts]), self.faces
         p, q, r = np.moveaxis(vertices[faces], 1, 0)
         normal = np.cross(q - p, r - p)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         way = np.mgrid[-1:2, -1:2, -1:2].reshape(3, -1).T.astype(np.float64)
         way = way[np.any(way != 0, axis=1)]
         facing = np.argmax(normal @ (way / np.linalg.norm(way, axis=1, keepdims=True)).T, axis=1)
-        return np.asarray(np.unique(piece * len(way) + facing, return_inverse=True)[1], np.int64)
+        return np.asarray(np.unique(self.pieces * len(way) + facing, return_inverse=True)[1], np.int64)
 
     def placed(self, transforms: NDArray[np.float64]) -> NDArray[np.float64]:
         """(V, 3) vertices of all parts, each part moved by its own of ``transforms`` (P, 3, 4)."""

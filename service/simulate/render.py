@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from gpu.mesh import Mesh
 from gpu.zbuffer import Floats, Visible, rasterise
@@ -55,7 +53,7 @@ class Renderer:
     def __init__(self, mesh: Mesh, articulation: Articulation, rng: np.random.Generator) -> None:
         self._articulation = articulation
         self._mesh = mesh
-        self._reflectance = _reflectances(mesh.faces, mesh.n_vertices, rng)
+        self._reflectance = _reflectances(mesh.pieces, rng)
 
     def render(self, poses: Poses, size: tuple[int, int], light: Light, oversample: int = 3) -> Picture:
         """The body at a pose (one of them) in an image of ``size`` (width, height)."""
@@ -125,9 +123,6 @@ def _sun_basis(sun: Floats) -> Floats:
     return np.stack([aside, np.cross(away, aside), away])
 
 
-def _reflectances(faces: NDArray[np.integer], n_vertices: int, rng: np.random.Generator) -> Floats:
+def _reflectances(pieces: NDArray[np.integer], rng: np.random.Generator) -> Floats:
     """(F,) one reflectance per connected piece: painted metal, foil and cells differ, one panel does not."""
-    a, b = np.concatenate([faces[:, 0], faces[:, 1]]), np.concatenate([faces[:, 1], faces[:, 2]])
-    links = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(n_vertices, n_vertices))
-    count, piece = connected_components(links, directed=False)
-    return np.asarray(rng.uniform(0.35, 0.95, count)[piece[faces[:, 0]]])
+    return np.asarray(rng.uniform(0.35, 0.95, int(pieces.max()) + 1)[pieces])

@@ -13,6 +13,7 @@ from service.imaging.lighting import Alignment, View, align
 from service.imaging.measurement import FrameMaps
 from service.imaging.shading import Patch, cut_patch, explained
 from service.inference.articulation import Articulation, part_transforms
+from service.inference.islands import repeat
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
 
@@ -59,7 +60,7 @@ class Shading:
             return None
         d = 6 + pose.joints.shape[1]
         steps = np.diag([*np.full(3, STEP), 1.0, 1.0, STEP, *np.full(d - 6, STEP_JOINT)])
-        beside = retract(Poses(*(np.repeat(a, d, axis=0) for a in (pose.quaternion, *_rest(pose)))), steps)
+        beside = retract(repeat(pose, d), steps)
         transforms = part_transforms(self._articulation, pose).astype(np.float64)[0]
         slopes = part_transforms(self._articulation, beside).astype(np.float64) - transforms
         slopes /= np.diag(steps)[:, None, None, None]
@@ -84,10 +85,6 @@ class Shading:
         normals = np.zeros((side, side, 3), np.float32)
         normals[seen] = across
         return normals, kept[view.face[seen]], view
-
-
-def _rest(pose: Poses) -> tuple[Array, Array, Array]:
-    return pose.position, pose.log_scale, pose.joints
 
 
 def _view(
