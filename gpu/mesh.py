@@ -54,6 +54,18 @@ class Mesh:
         return np.vstack([part.faces + first for part, first in zip(self.parts, offsets[:-1], strict=True)])
 
     @cached_property
+    def part_of(self) -> NDArray[np.int64]:
+        """(F,) number of the part that a face belongs to."""
+        return np.repeat(np.arange(len(self.parts)), [len(part.faces) for part in self.parts])
+
+    @cached_property
+    def normals(self) -> NDArray[np.float64]:
+        """(F, 3) unit normals of the faces, joints at rest."""
+        p, q, r = np.moveaxis(np.vstack([part.vertices for part in self.parts])[self.faces], 1, 0)
+        normal = np.cross(q - p, r - p)
+        return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300), np.float64)
+
+    @cached_property
     def pieces(self) -> NDArray[np.int64]:
         """(F,) which of the body's pieces a face belongs to: those of one piece are joined by their vertices."""
         from scipy.sparse import coo_array
@@ -67,13 +79,9 @@ class Mesh:
     @cached_property
     def surfaces(self) -> NDArray[np.int64]:
         """(F,) which surface a face belongs to: of one piece, and facing about the same way."""
-        vertices, faces = np.vstack([part.vertices for part in self.parts]), self.faces
-        p, q, r = np.moveaxis(vertices[faces], 1, 0)
-        normal = np.cross(q - p, r - p)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         way = np.mgrid[-1:2, -1:2, -1:2].reshape(3, -1).T.astype(np.float64)
         way = way[np.any(way != 0, axis=1)]
-        facing = np.argmax(normal @ (way / np.linalg.norm(way, axis=1, keepdims=True)).T, axis=1)
+        facing = np.argmax(self.normals @ (way / np.linalg.norm(way, axis=1, keepdims=True)).T, axis=1)
         return np.asarray(np.unique(self.pieces * len(way) + facing, return_inverse=True)[1], np.int64)
 
     def placed(self, transforms: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 SIDE_PX = 64  # of the patch at most: facets are flat, so coarse is enough
 MARGIN = 0.25  # of the object's extent, on each side
 LEAST_COMPONENT = 0.05  # of the largest one's area
+COVERED = 0.3  # of a pixel, after the blur, from which on it counts
 EVERY = 2  # pixels are enough
 ROUNDS = 3
 TOWARDS_SUN = np.array([[0, 0, -1], [0.87, 0, -0.5], [-0.43, 0.75, -0.5], [-0.43, -0.75, -0.5]])  # the first guesses
@@ -67,14 +68,26 @@ def explained(patch: Patch, normals: NDArray[np.float32], covered: NDArray[np.fl
     distribution of unknown width the log-likelihood of n independent pixels is n times the answer.
     """
     spread = cv2.GaussianBlur(np.dstack([normals, covered]), (0, 0), patch.blur_px)
-    region = cv2.dilate((patch.light | (spread[..., 3] > 0.3)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    region = cv2.dilate((patch.light | (spread[..., 3] > COVERED)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     some = np.flatnonzero(region)[::EVERY]
+    if len(some) == 0:
+        return 0.0
     seen = patch.brightness.ravel()[some].astype(np.float64)
     drawn = np.asarray(spread.reshape(-1, 4)[some], np.float64)
     normal, even = drawn[:, :3], drawn[:, 3:]
     total = float(np.abs(seen).sum())
     least, _ = _fit_light(normal, even, seen)
-    return float(np.log(max(total, 1e-12) / max(min(least, total), 1e-12)))
+    return float(log_times_less(np.array(total), np.array(least)))
+
+
+def log_times_less(total: Floats, least: Floats) -> Floats:
+    """Log of how many times less of the ``total`` brightness the ``least`` is; nothing of nothing counts as 0."""
+    return np.asarray(np.log(np.maximum(total, 1e-12) / np.maximum(np.minimum(least, total), 1e-12)))
+
+
+def point_spread(blur_px: float) -> Floats:
+    """Along one axis, as ``cv2.GaussianBlur`` has it: an odd number of taps, four standard deviations to each side."""
+    return np.asarray(cv2.getGaussianKernel(round(8 * blur_px + 1) | 1, blur_px)[:, 0], np.float64)
 
 
 def first_light(spread: Floats, seen: Floats) -> Floats:

@@ -7,22 +7,17 @@ session's seed and the frame's index, so a retry, a restart and another worker g
 from __future__ import annotations
 
 import hashlib
-import platform
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, replace
-from importlib.metadata import version
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpu.device import find_devices
 from gpu.kernel_cache import KernelCache
 from gpu.mesh import Mesh, MeshError, assemble
-from gpu.opengl_probe import expected_hand_over, find_opengl
 from gpu.reference import silhouette_mask
-from gpu.scorer import BACKENDS
 from service.errors import ConfigError, ImageMismatchError, MeshFileError, MissingBlobError
 from service.imaging.background import Background, Sky, derive, known_pixels, learn
 from service.imaging.decode import Frame as Image
@@ -56,6 +51,7 @@ from service.workers.base import (
 from service.workers.cache import Cache
 from service.workers.decoding import Decoder, InPlace
 from service.workers.full_frame import camera_window, in_full_frame, in_window, scale_in_window
+from service.workers.machine import describe_machine
 from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
 from service.workers.restoring import check_restored
@@ -64,17 +60,7 @@ from service.workers.shading import Shading
 from service.workers.shared_scorer import Opener
 from service.workers.smoothing import belief_after, smooth_pass, with_rates
 from service.workers.splitting import SplitJob
-
-PACKAGES = (
-    "skypose",
-    "numpy",
-    "scipy",
-    "pyopencl",
-    "moderngl",
-    "trimesh",
-    "opencv-python-headless",
-    "fastapi",
-)
+from service.workers.sunlit import SunlitBodies
 
 SKIES, SKY_BYTES = 1000, 512 << 20  # kept: every session has its own
 
@@ -95,6 +81,7 @@ class Tracker:
         self._meshes: Cache[Mesh] = Cache(cached_models)
         self._scorers = Scorers(cached_models, opener=opener)
         self._steps = ResidentSteps(cached_models)
+        self._bodies = SunlitBodies(cached_models)
         self._skies: Cache[Sky] = Cache(SKIES, weigh=sky_bytes, most_bytes=SKY_BYTES)
         self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
 
@@ -167,7 +154,7 @@ class Tracker:
         chosen = job.config.filter
         stream = np.array([chosen.seed, job.frame_index], np.uint64)
         with self._scorers.lend(job.model, chosen.backend, mesh, chosen.particles) as scorer:
-            shade = Shading(mesh, articulation, maps)
+            shade = Shading(self._bodies.of(job.model, mesh), articulation, maps)
             timed, rng = TimedScorer(scorer, articulation), np.random.Generator(np.random.Philox(key=stream))
             resident = self._steps.of(scorer, job.config, domain)
             state, estimate = step(rng, job.state, frame, timed, job.config, domain, twins, resident, shade)
@@ -219,19 +206,14 @@ class Tracker:
         return smooth_pass(job)
 
     def describe(self) -> Mapping[str, Any]:
-        """Devices, backends of the scorer, how OpenGL would hand over to OpenCL, and versions."""
-        return {
-            "backend": "auto",  # of sessions that name none
-            "backends": list(BACKENDS),
-            "hand_over": {**asdict(expected_hand_over()), "opengl": find_opengl().renderer or None},
-            "devices": [asdict(report) for report in find_devices()],
-            "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
-        }
+        """This machine and what is installed."""
+        return describe_machine()
 
     def close(self) -> None:
         """Release the device and the decoder."""
         self._decoder.close()
         self._steps.close()
+        self._bodies.close()
         self._scorers.close()
         self._meshes.clear()
         self._skies.clear()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gpu.mesh import load_mesh
+from gpu.sunlit import open_sunlit
 from gpu.zbuffer import drawable, rasterise
 from service.imaging.lighting import View
 from service.imaging.measurement import FrameMaps
@@ -13,15 +14,19 @@ from service.models.articulations import read_joints
 from service.simulate.render import Light, Renderer
 from service.simulate.satellite import demo_satellite
 from service.workers.shading import Shading
+from service.workers.sunlit import FIT, SunlitBody
 
 SIZE = (128, 128)
 
 
-@pytest.fixture(scope="module")
-def demo():
+@pytest.fixture(scope="module", params=["by NumPy", "on the device"])
+def demo(request):
     data = demo_satellite()
     mesh = load_mesh(data, "glb")
-    return mesh, read_joints(data, "glb", mesh).articulation
+    on_device = request.param == "on the device"
+    body = SunlitBody(mesh, open_sunlit(mesh, FIT)) if on_device else SunlitBody(mesh)
+    yield body, read_joints(data, "glb", mesh).articulation
+    body.close()
 
 
 def pose(mesh, joints: np.ndarray) -> Poses:
@@ -40,9 +45,10 @@ def maps_of(mesh, articulation, poses: Poses, light: Light) -> FrameMaps:
 
 @pytest.mark.parametrize("roll_deg", [0.0, 100.0, 230.0])
 def test_the_true_pose_explains_a_side_lit_frame_best(demo, roll_deg):
-    mesh, articulation = demo
-    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
-    shade = Shading(mesh, articulation, maps_of(mesh, articulation, true, Light(phase_deg=70, sun_roll_deg=roll_deg)))
+    body, articulation = demo
+    true = pose(body.mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    light = Light(phase_deg=70, sun_roll_deg=roll_deg)
+    shade = Shading(body, articulation, maps_of(body.mesh, articulation, true, light))
     rng = np.random.default_rng(3)
     axes = rng.standard_normal((12, 3))
     turns = exp_so3(np.deg2rad(60) * axes / np.linalg.norm(axes, axis=1, keepdims=True))
@@ -54,9 +60,9 @@ def test_the_true_pose_explains_a_side_lit_frame_best(demo, roll_deg):
 
 
 def test_without_brightness_shading_says_nothing(demo):
-    mesh, articulation = demo
-    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
-    shade = Shading(mesh, articulation, FrameMaps(np.zeros((128, 128), np.float32), 0.0, None))
+    body, articulation = demo
+    true = pose(body.mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    shade = Shading(body, articulation, FrameMaps(np.zeros((128, 128), np.float32), 0.0, None))
     assert shade(true) == pytest.approx([0.0])
 
 
@@ -85,9 +91,9 @@ def steps_back(shade: Shading, away: Poses, rounds: int = 4) -> Poses:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_steps_by_brightness_alone_lead_back_to_the_true_pose(demo, seed):
-    mesh, articulation = demo
-    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
-    shade = Shading(mesh, articulation, maps_of(mesh, articulation, true, Light(phase_deg=50, sun_roll_deg=70)))
+    body, articulation = demo
+    true = pose(body.mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    shade = Shading(body, articulation, maps_of(body.mesh, articulation, true, Light(phase_deg=50, sun_roll_deg=70)))
     offset = np.random.default_rng(seed).standard_normal((1, true.joints.shape[1] + 6))
     offset *= np.array([0.03, 0.03, 0.03, 0.6, 0.6, 0.01, *np.full(true.joints.shape[1], 2.0)])
     away = retract(true, offset)
@@ -99,36 +105,36 @@ def test_steps_by_brightness_alone_lead_back_to_the_true_pose(demo, seed):
 
 def test_the_curvature_has_no_negative_direction_and_few_pixels_count(demo):
     """A fourth of the patch's at most: many belong together."""
-    mesh, articulation = demo
-    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
-    maps = maps_of(mesh, articulation, true, Light(phase_deg=50, sun_roll_deg=70))
-    found = Shading(mesh, articulation, maps).near(true)
+    body, articulation = demo
+    true = pose(body.mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    maps = maps_of(body.mesh, articulation, true, Light(phase_deg=50, sun_roll_deg=70))
+    found = Shading(body, articulation, maps).near(true)
     assert found is not None
     assert np.linalg.eigvalsh(found.curvature).min() > -1e-6 * np.trace(found.curvature)
     assert found.pixels < 128 * 128 / 4
 
 
 def test_a_pose_outside_of_the_patch_says_nothing(demo):
-    mesh, articulation = demo
-    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
-    shade = Shading(mesh, articulation, maps_of(mesh, articulation, true, Light()))
+    body, articulation = demo
+    true = pose(body.mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    shade = Shading(body, articulation, maps_of(body.mesh, articulation, true, Light()))
     assert shade.near(Poses(true.quaternion, true.position + 500.0, true.log_scale, true.joints)) is None
-    dark = Shading(mesh, articulation, FrameMaps(np.zeros((128, 128), np.float32), 0.0, None))
+    dark = Shading(body, articulation, FrameMaps(np.zeros((128, 128), np.float32), 0.0, None))
     assert dark.near(true) is None
 
 
 def test_the_view_moves_as_the_drawn_body_does(demo):
     """Flow and turn of the normals, against the body drawn a little further on."""
-    mesh, articulation = demo
-    true = pose(mesh, np.array([[joint.initial for joint in articulation.joints]]))
-    maps = maps_of(mesh, articulation, true, Light())
+    body, articulation = demo
+    true = pose(body.mesh, np.array([[joint.initial for joint in articulation.joints]]))
+    maps = maps_of(body.mesh, articulation, true, Light())
     seen: list[View] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("service.workers.shading.align", lambda _, view: seen.append(view))
-        Shading(mesh, articulation, maps).near(true)
+        Shading(body, articulation, maps).near(true)
         for k in range(6 + articulation.n_joints):
             small = 1e-3 if k in (0, 1, 2, 5) else 0.05
-            Shading(mesh, articulation, maps).near(retract(true, small * np.eye(6 + articulation.n_joints)[k : k + 1]))
+            Shading(body, articulation, maps).near(retract(true, small * np.eye(6 + articulation.n_joints)[k : k + 1]))
             same = np.isin(seen[0].pixel, seen[-1].pixel)
             moved = seen[-1].normal[np.isin(seen[-1].pixel, seen[0].pixel)] - seen[0].normal[same]
             close = np.abs(moved).max(axis=1) < 0.1  # the same face is seen
