@@ -17,7 +17,7 @@ WIDTHS = (2.0, 4.0, 8.0)  # of the Gaussians that make up the wings, in widths o
 LEAST_CORE_PX = 1.0
 ROUNDS = 6
 OUTLIER_SIGMA = 2.0  # what is brighter than the veil by more is a dim part or a star
-FEWEST_PIXELS, MOST_PIXELS = 200, 6000
+FEWEST_PIXELS, MOST_PIXELS = 200, 2500
 REACH = 0.02  # of its greatest value: where a veil is not worth fitting
 
 
@@ -34,7 +34,7 @@ def veil(
     core = max(psf_sigma_px, LEAST_CORE_PX)
     spread = np.stack([_blurred(source, width * core) for width in WIDTHS])  # (K, H, W, C)
     scattered = np.zeros_like(residual)
-    total = np.abs(spread[-1]).sum(axis=2)
+    total = np.abs(spread[-1]) @ np.ones(residual.shape[2], np.float32)
     around = np.flatnonzero(~near & (total > REACH * total.max()))
     if len(around) < FEWEST_PIXELS:
         return scattered

@@ -43,8 +43,8 @@ class View:
     normal: Floats  # (n, 3) unit vectors away from what is seen, camera frame
     depth: Floats  # (n,) smaller is nearer
     surface: NDArray[np.int64]  # (n,) which surface of the body is seen
-    flow: Floats  # (d, n, 2) px of the patch, x and y, per unit of each coordinate
-    turn: Floats  # (d, n, 3) change of the normals
+    flow: Image  # (d, n, 2) px of the patch, x and y, per unit of each coordinate
+    turn: Image  # (d, n, 3) change of the normals
 
 
 @dataclass(frozen=True)
@@ -66,18 +66,18 @@ def align(patch: Patch, view: View) -> Alignment | None:
     """
     even = np.ones((len(view.pixel), 1))
     spread = _blurred(_spread_out(np.hstack([view.normal, even]), view, patch), patch)
-    region = _region(spread[..., 3], patch)
+    region = _region(spread[:, 3], patch)
     if len(region) < LEAST_PIXELS:
         return None
     seen = patch.brightness.ravel()[region]
-    some = spread.reshape(-1, LIGHT)[region[::EVERY]].astype(np.float64)
+    some = spread[region[::EVERY]].astype(np.float64)
     light = first_light(some, seen[::EVERY].astype(np.float64))
     lit = view.normal @ light[:3] > 0
     brightness = _brightness(view, light)
     largest = np.argsort(-np.bincount(view.surface))[:SURFACES]
     own = np.where(view.surface[:, None] == largest, brightness[:, None], 0.0)
     drawn = _spread_out(np.hstack([view.normal * lit[:, None], even, own]), view, patch)
-    basis = _blurred(drawn, patch).reshape(len(patch.brightness) ** 2, -1)[region]
+    basis = _blurred(drawn, patch, region)
     ridge = np.array([0.0] * LIGHT + [USUAL_DISPERSION / REFLECTANCE**2] * len(largest))
     share = np.array([*light, *np.zeros(len(largest))])
     for _ in range(ROUNDS):
@@ -86,8 +86,7 @@ def align(patch: Patch, view: View) -> Alignment | None:
     residual = seen - basis @ share.astype(np.float32)
     gain = np.ones(int(view.surface.max()) + 1)
     gain[largest] += np.clip(share[LIGHT:], -0.9, 3.0)
-    motion = _blurred(_motion(view, share[:LIGHT], gain[view.surface], patch), patch)
-    motion = motion.reshape(-1, len(view.flow))[region]
+    motion = _blurred(_motion(view, share[:LIGHT], gain[view.surface], patch), patch, region)
     gram, right = _normal_equations(np.hstack([motion, basis]), residual, residual)
     d = motion.shape[1]
     right[d:] -= ridge * share
@@ -126,7 +125,7 @@ def _tiny(gram: Floats) -> Floats:
 
 def _region(covered: Image, patch: Patch) -> NDArray[np.intp]:
     """Pixels, row * S + column, where there is light or the pose covers, and those beside them."""
-    counted = patch.light | (covered > LEAST_COVERED)
+    counted = patch.light | (covered > LEAST_COVERED).reshape(patch.light.shape)
     return np.flatnonzero(cv2.dilate(counted.astype(np.uint8), np.ones((3, 3), np.uint8)))
 
 
@@ -136,7 +135,7 @@ def _brightness(view: View, light: Floats) -> Floats:
 
 
 def _motion(view: View, light: Floats, gain: Floats, patch: Patch) -> Image:
-    """(S, S, d) change of the brightness, before the blur, with each coordinate.
+    """(S * S, d) change of the brightness, before the blur, with each coordinate.
 
     Every step of brightness between two pixels moves with the nearer of them: an outline hides what is behind it.
     """
@@ -145,7 +144,7 @@ def _motion(view: View, light: Floats, gain: Floats, patch: Patch) -> Image:
     brightness[view.pixel] = _brightness(view, light) * gain
     slot, depth = np.full(side * side, n), np.full(side * side, np.inf)  # slot n: no body, it stands still
     slot[view.pixel], depth[view.pixel] = np.arange(n), view.depth
-    change = np.zeros((side * side, len(view.flow)))
+    change = np.zeros((side * side, len(view.flow)), np.float32)
     change[view.pixel] = ((view.turn @ light[:3]) * (gain * (view.normal @ light[:3] > 0))).T
     index = np.arange(side * side).reshape(side, side)
     for axis, here, there in ((0, index[:, :-1], index[:, 1:]), (1, index[:-1], index[1:])):
@@ -156,7 +155,7 @@ def _motion(view: View, light: Floats, gain: Floats, patch: Patch) -> Image:
         moved = flow[np.where(depth[b] < depth[a], slot[b], slot[a])] * step[some, None]
         change[b] -= moved
         change[a] -= moved
-    return change.reshape(side, side, -1).astype(np.float32)
+    return change
 
 
 def _normal_equations(columns: Image, residual: Image, wanted: Image) -> tuple[Floats, Floats]:
@@ -173,14 +172,16 @@ def _weight(residual: Image) -> Image:
 
 
 def _spread_out(values: Floats, view: View, patch: Patch) -> Image:
-    """(S, S, K) image of values (n, K) at the pixels that see the body."""
-    side = len(patch.brightness)
-    image = np.zeros((side * side, values.shape[1]), np.float32)
+    """(S * S, K) image of values (n, K) at the pixels that see the body."""
+    image = np.zeros((len(patch.brightness) ** 2, values.shape[1]), np.float32)
     image[view.pixel] = values
-    return image.reshape(side, side, -1)
+    return image
 
 
-def _blurred(image: Image, patch: Patch) -> Image:
-    """(S, S, K) after the patch's point spread; OpenCV takes four channels at once."""
-    some = [image[..., k : k + 4] for k in range(0, image.shape[2], 4)]
-    return np.dstack([cv2.GaussianBlur(channels, (0, 0), patch.blur_px) for channels in some])
+def _blurred(image: Image, patch: Patch, region: NDArray[np.intp] | slice = slice(None)) -> Image:
+    """(S * S, K) after the patch's point spread, at the pixels of the ``region``."""
+    side, out = len(patch.brightness), []
+    for k in range(0, image.shape[1], 4):  # OpenCV takes four channels at once
+        channels = np.ascontiguousarray(image[:, k : k + 4]).reshape(side, side, -1)
+        out.append(cv2.GaussianBlur(channels, (0, 0), patch.blur_px).reshape(side * side, -1)[region])
+    return np.concatenate(out, axis=1)

@@ -34,7 +34,7 @@ _DETECTION_SIGMA = 4.0  # of smoothed noise: fainter light is no evidence
 _STRONG_SIGMA = 5.0  # light around which an edge can be placed; fainter light is judged by neighbourhoods
 _SURFACE_SIGMA, _SURFACE_MEAN = 8.0, 3.0  # of a dim surface: no pixel above the one, their mean above the other
 _LEVEL_ROUNDS = 8
-_LEVEL_SAMPLE = 16_384
+_LEVEL_SAMPLE = 8_192
 _LEVEL_PIXELS = 100  # fewer that look like sky tell nothing of its level
 _FAINT_SIGMA_PX = 2.0
 _FAINT_DETECTION = 3.5
@@ -92,8 +92,8 @@ def measure(
 
 def brightness(residual: NDArray[np.float32], sky: Sky) -> NDArray[np.float32]:
     """(H, W) light above the sky over all channels, in units of a pixel's noise."""
-    total = np.sum(residual / sky.sigma, axis=2) / np.float32(np.sqrt(residual.shape[2]))
-    return np.asarray(total, np.float32)
+    weight = 1 / (sky.sigma * np.float32(np.sqrt(residual.shape[2])))
+    return np.asarray(residual @ weight, np.float32)
 
 
 def even_edge(log_ratio: NDArray[np.float32], least: float, rise: float) -> NDArray[np.float32]:
@@ -109,14 +109,9 @@ def even_edge(log_ratio: NDArray[np.float32], least: float, rise: float) -> NDAr
 
 def log_constant(image: NDArray[np.generic], sky: Sky) -> float:
     """Log of Eq. 2's constant: the sum over the image of log p(D|b) - log p(D)."""
-    bins = feature_bins(image, sky.spec)
-    return float(np.sum(sky.log_density[bins] - log_total(bins, sky.spec.n_bins)))
-
-
-def log_total(bins: NDArray[np.intp], n_bins: int) -> NDArray[np.float64]:
-    """(H, W) log p(D): the histogram of the whole image, without segmentation, looked up at each pixel."""
-    counts = np.bincount(bins.ravel(), minlength=n_bins)
-    return np.asarray(np.log(counts[bins] / bins.size))
+    counts = np.bincount(feature_bins(image, sky.spec).ravel(), minlength=sky.spec.n_bins)
+    some = np.flatnonzero(counts)
+    return float(counts[some] @ (sky.log_density[some] - np.log(counts[some] / counts.sum())))
 
 
 def histogram_log_ratio(bins: NDArray[np.intp], sky: Sky) -> NDArray[np.float32]:
@@ -173,7 +168,7 @@ def contrast(residual: NDArray[np.float32], sky: Sky, smooth_px: float) -> NDArr
     if smooth_px > 0:
         residual = np.asarray(cv2.GaussianBlur(residual, (0, 0), smooth_px), np.float32).reshape(residual.shape)
     z = residual / sky.sigma
-    return np.asarray(np.sqrt(np.sum(z * z, axis=2)), dtype=np.float32)
+    return np.asarray(np.sqrt(np.einsum("ijc,ijc->ij", z, z)), dtype=np.float32)
 
 
 def contrast_log_ratio(
@@ -233,8 +228,10 @@ def faint_light(residual: NDArray[np.float32], sky: Sky, near_light: NDArray[np.
     variance = cv2.GaussianBlur(weight, (0, 0), _FAINT_SIGMA_PX / np.sqrt(2)) / (4 * np.pi * _FAINT_SIGMA_PX**2)
     total = cv2.GaussianBlur(residual * weight[..., None], (0, 0), _FAINT_SIGMA_PX).reshape(residual.shape)
     z = total / sky.sigma / np.sqrt(np.maximum(variance, 1e-6))[..., None]
-    z = z / np.maximum(1.0, 1.4826 * np.median(np.abs(z), axis=(0, 1)))  # the sky's own structure is noise too
-    significance = np.sqrt(np.sum(z * z, axis=2))
+    z = z / np.maximum(
+        1.0, 1.4826 * np.median(np.abs(z[::2, ::2]), axis=(0, 1))
+    )  # the sky's own structure is noise too
+    significance = np.sqrt(np.einsum("ijc,ijc->ij", z, z))
     seen = np.where(weight > 0, significance, 0.0).astype(np.float32)
     bright = cv2.GaussianBlur(brightest_within(seen, _FAINT_SIGMA_PX), (0, 0), _FAINT_SIGMA_PX)
     threshold = np.maximum(_FAINT_DETECTION, _HALF * bright)

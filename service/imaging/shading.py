@@ -38,14 +38,18 @@ class Patch:
 
 
 def cut_patch(
-    brightness: NDArray[np.float32], log_ratio: NDArray[np.float32], psf_sigma_px: float, side_px: int = SIDE_PX
+    brightness: NDArray[np.float32],
+    log_ratio: NDArray[np.float32],
+    psf_sigma_px: float,
+    side_px: int = SIDE_PX,
+    margin: float = MARGIN,
 ) -> Patch | None:
     """What there is to shade: (H, W) ``brightness`` around the light in ``log_ratio``. None where there is none."""
     box = _extent(log_ratio > 0)
     if box is None:
         return None
     low, high = box
-    half = 0.5 * float(np.max(high - low)) * (1 + 2 * MARGIN) + 4.0
+    half = 0.5 * float(np.max(high - low)) * (1 + 2 * margin) + 4.0
     zoom = min(1.0, side_px / (2 * half))
     side = int(np.ceil(2 * half * zoom))
     origin = 0.5 * (low + high) - half

@@ -37,7 +37,7 @@ def mean_rotation(quaternion: Array, weights: Array) -> Array:
     for _ in range(10):
         step = weights @ log_so3(multiply(conjugate(mean), quaternion))
         mean = multiply(mean, exp_so3(step))
-        if float(step @ step) < 1e-20:
+        if float(step @ step) < 1e-16:
             break
     return mean if mean[0] >= 0 else -mean
 

@@ -12,26 +12,37 @@ from service.inference.islands import Islands, refine
 from service.inference.mixture import Draws
 from service.inference.modes import cluster, distance, short_way
 from service.inference.motion import carry_on
-from service.inference.pose import concatenate, local
+from service.inference.pose import concatenate, local, retract
 from service.inference.slope import sloped
-from service.inference.state import Array, Poses
+from service.inference.state import Poses
 from service.inference.symmetry import Symmetry, twin, twin_rates
 from service.inference.update import Update
 from service.inference.weights import normalise
 
 Memory = Mapping[str, NDArray[np.generic]]
 
-SHARPEN_ROUNDS, SHARPEN_DRAWS = 4, 24
 BEST_FIT_ROUNDS, BEST_FIT_DRAWS = 10, 40
 LEAST_SHARE = 0.1  # of the posterior, that a mode must hold to be preferred for its continuity
 TWIN_NATS = 1.0  # by which another twin must explain the frame better before the filter changes sides
 
 
-def sharpen(update: Update, draws: Draws) -> tuple[Poses, float]:
-    """The pose of highest likelihood near the best particle of the preferred mode: a cross-entropy search."""
-    value = draws.log_likelihood + sloped(draws.slopes, draws.poses, update.metric)
+def best_pose(update: Update, draws: Draws) -> tuple[Poses, float]:
+    """The best particle of the preferred mode, or that mode's mean where it explains the frame better.
+
+    The particles lie as far apart as the likelihood's power in ``Update.exponent`` leaves them, so their mean is mostly
+    nearer to the peak than the best of them.
+    """
+    metric = update.metric
+    value = draws.log_likelihood + sloped(draws.slopes, draws.poses, metric)
     top = int(np.argmax(np.where(_preferred(update, draws), value, -np.inf)))
-    return _climb(update, draws, top, 0.25, SHARPEN_ROUNDS, SHARPEN_DRAWS)
+    best = draws.poses[top : top + 1]
+    near = np.flatnonzero(distance(draws.poses, best, metric) <= 1.0)
+    weights = np.exp(normalise(draws.log_weights[near])[0])
+    mean = update.domain.wrap(retract(best, weights[None] @ short_way(local(best, draws.poses[near]), metric)))
+    log_likelihood = float(update.score(mean)[0])
+    if log_likelihood + float(sloped(draws.slopes, mean, metric)[0]) < value[top]:
+        return update.domain.wrap(best), float(draws.log_likelihood[top])
+    return mean, log_likelihood
 
 
 def likeliest_twin(update: Update, draws: Draws) -> Draws:
@@ -43,11 +54,9 @@ def likeliest_twin(update: Update, draws: Draws) -> Draws:
     if not update.twins:
         return draws
     exponent = update.config.likelihood.mode_exponent
-    alone = replace(draws, slopes=())  # those of this side say nothing of another
-    sides = [alone, *(_through(update, alone, symmetry) for symmetry in update.twins)]
+    sides = [draws, *(_through(update, draws, symmetry) for symmetry in update.twins)]
     tops = [int(np.argmax(side.log_likelihood)) for side in sides]
-    rounds, per_round = BEST_FIT_ROUNDS, BEST_FIT_DRAWS
-    fits = [_climb(update, side, top, 1.0, rounds, per_round) for side, top in zip(sides, tops, strict=True)]
+    fits = [_climb(update, side, top) for side, top in zip(sides, tops, strict=True)]
     peaks = np.array([log_likelihood for _, log_likelihood in fits])
     peaks += update.shading(concatenate(*(pose for pose, _ in fits)))
     top = int(np.argmax(peaks))
@@ -61,7 +70,8 @@ def _through(update: Update, draws: Draws, symmetry: Symmetry) -> Draws:
     gain = update.exponent() * (log_likelihood - draws.log_likelihood)
     rates = twin_rates(draws.rates, symmetry)
     log_weights = draws.log_weights + gain
-    return replace(draws, poses=poses, rates=rates, log_likelihood=log_likelihood, log_weights=log_weights)
+    # The slopes of this side say nothing of the other.
+    return replace(draws, poses=poses, rates=rates, log_likelihood=log_likelihood, log_weights=log_weights, slopes=())
 
 
 def heading(update: Update, draws: Draws, best: Poses) -> Memory:
@@ -98,19 +108,14 @@ def _preferred(update: Update, draws: Draws) -> NDArray[np.bool_]:
     return np.asarray(labels == labels[nearest]) if gap[nearest] <= 1.0 else heaviest
 
 
-def _climb(update: Update, draws: Draws, top: int, widen: float, rounds: int, per_round: int) -> tuple[Poses, float]:
-    """A cross-entropy search from particle ``top``, ``widen`` times as wide in variance as those around it."""
+def _climb(update: Update, draws: Draws, top: int) -> tuple[Poses, float]:
+    """A cross-entropy search from particle ``top``, as wide as those around it."""
     best = draws.poses[top : top + 1]
     near = np.flatnonzero(distance(draws.poses, best, update.metric) <= 1.0)
     weights = np.exp(normalise(draws.log_weights[near])[0])
     x = short_way(local(best, draws.poses[near]), update.metric)
     x = x - weights @ x
-    covariance = widen * np.einsum("n,ni,nj->ij", weights, x, x) + 1e-8 * np.eye(x.shape[1])
-
-    def value(poses: Poses) -> Array:
-        return update.score(poses) + sloped(draws.slopes, poses, update.metric)
-
-    start = Islands(best, value(best), best, covariance[None], np.zeros(1))
-    peak = refine(update.rng, start, value, update.domain.contains, rounds, per_round)
-    log_likelihood = peak.log_likelihood - sloped(draws.slopes, peak.best, update.metric)
-    return update.domain.wrap(peak.best), float(log_likelihood[0])
+    covariance = np.einsum("n,ni,nj->ij", weights, x, x) + 1e-8 * np.eye(x.shape[1])
+    start = Islands(best, update.score(best), best, covariance[None], np.zeros(1))
+    peak = refine(update.rng, start, update.score, update.domain.contains, BEST_FIT_ROUNDS, BEST_FIT_DRAWS)
+    return update.domain.wrap(peak.best), float(peak.log_likelihood[0])

@@ -13,7 +13,7 @@ from service.inference.state import Array, Poses
 
 def rotation_matrices(quaternion: Array) -> Array:
     """(..., 4) unit quaternions -> (..., 3, 3) matrices."""
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    w, x, y, z = _parts(quaternion)
     m = np.empty((*quaternion.shape[:-1], 3, 3))
     m[..., 0, 0] = 1 - 2 * (y * y + z * z)
     m[..., 0, 1] = 2 * (x * y - w * z)
@@ -37,18 +37,25 @@ def from_matrices(matrices: Array) -> Array:
 
 def multiply(a: Array, b: Array) -> Array:
     """Hamilton product of (..., 4) quaternions, renormalised."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    q = np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
-    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True), dtype=np.float64)
+    aw, ax, ay, az = _parts(a)
+    bw, bx, by, bz = _parts(b)
+    q = np.empty((*np.broadcast_shapes(a.shape, b.shape)[:-1], 4))
+    q[..., 0] = aw * bw - ax * bx - ay * by - az * bz
+    q[..., 1] = aw * bx + ax * bw + ay * bz - az * by
+    q[..., 2] = aw * by - ax * bz + ay * bw + az * bx
+    q[..., 3] = aw * bz + ax * by - ay * bx + az * bw
+    q /= _length(q)
+    return q
+
+
+def _parts(q: Array) -> tuple[Array, Array, Array, Array]:
+    """w, x, y and z of (..., 4)."""
+    return q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+
+
+def _length(vector: Array) -> Array:
+    """(..., 1) of (..., d)."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vector, vector))[..., None], dtype=np.float64)
 
 
 def conjugate(q: Array) -> Array:
@@ -58,14 +65,14 @@ def conjugate(q: Array) -> Array:
 
 def exp_so3(vector: Array) -> Array:
     """Rotation vectors (..., 3) in radians -> quaternions (..., 4)."""
-    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
+    half = 0.5 * _length(vector)
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
 
 
 def log_so3(q: Array) -> Array:
     """Quaternions (..., 4) -> rotation vectors (..., 3) in radians, of length at most pi."""
     q = np.where(q[..., :1] < 0, -q, q)
-    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    sine = _length(q[..., 1:])
     angle = 2 * np.arctan2(sine, q[..., :1])
     ratio = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
     return np.asarray(ratio * q[..., 1:], dtype=np.float64)
@@ -74,7 +81,7 @@ def log_so3(q: Array) -> Array:
 def angle_between(a: Array, b: Array) -> Array:
     """Geodesic angle in radians between quaternions (..., 4)."""
     dot = np.abs(np.sum(a * b, axis=-1))
-    chord = np.minimum(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+    chord = np.minimum(_length(a - b), _length(a + b))[..., 0]
     return np.asarray(np.where(dot < 0.9, 2 * np.arccos(np.clip(dot, 0, 1)), 4 * np.arcsin(chord / 2)))
 
 

@@ -15,7 +15,7 @@ from service.inference.mixture import Draws, join, posterior
 from service.inference.modes import LEAST_MODE, MOST_MODES, cluster, distance
 from service.inference.motion import carry_on
 from service.inference.params import SessionConfig
-from service.inference.peak import heading, likeliest_twin, sharpen
+from service.inference.peak import best_pose, heading, likeliest_twin
 from service.inference.pose import retract
 from service.inference.proposal import Component, component
 from service.inference.resample import RESAMPLERS
@@ -205,6 +205,6 @@ def conclude(update: Update, draws: Draws, evidence: Evidence) -> Outcome:
     status = "lost" if lost else "tracking" if before + 1 >= ESTABLISHED_FRAMES else "acquiring"
     log_weights, log_evidence = normalise(draws.log_weights)
     poses = update.domain.wrap(draws.poses)
-    best = sharpen(update, draws)
+    best = best_pose(update, draws)
     memory.update(heading(update, draws, best[0]))
     return Outcome(poses, log_weights, draws.log_likelihood, draws.rates, status, log_evidence, memory, best)

@@ -9,14 +9,15 @@ import numpy as np
 from gpu.zbuffer import Visible
 from service.imaging.lighting import Alignment, View, align
 from service.imaging.measurement import FrameMaps
-from service.imaging.shading import Patch, cut_patch
+from service.imaging.shading import MARGIN, SIDE_PX, Patch, cut_patch
 from service.inference.articulation import Articulation, part_transforms
 from service.inference.islands import repeat
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
 from service.workers.sunlit import SunlitBody
 
-FINE_PX = 128  # of the patch at most, where a pose is refined: edges between faces count to a share of a pixel
+FINE_PX = 104  # of the patch at most, where a pose is refined: edges between faces count to a share of a pixel
+FINE_MARGIN = 0.1
 STEP = 1e-2  # tangent coordinates, for the slope of the parts' transforms
 STEP_JOINT = 1.0
 
@@ -35,13 +36,13 @@ class Shading:
 
     @cached_property
     def _fine(self) -> Patch | None:
-        return self._cut(FINE_PX)
+        return self._cut(FINE_PX, FINE_MARGIN)
 
-    def _cut(self, *side_px: int) -> Patch | None:
+    def _cut(self, side_px: int = SIDE_PX, margin: float = MARGIN) -> Patch | None:
         maps = self._maps
         if maps.brightness is None or maps.psf_sigma_px is None:
             return None
-        return cut_patch(maps.brightness(), maps.log_ratio, maps.psf_sigma_px, *side_px)
+        return cut_patch(maps.brightness(), maps.log_ratio, maps.psf_sigma_px, side_px, margin)
 
     def __call__(self, poses: Poses) -> Array:
         """(N,) what ``explained`` says of each; 0 where the frame's light cannot be told from the sky's."""
@@ -67,19 +68,21 @@ class Shading:
     def _view(self, transforms: Array, slopes: Array, seen: Visible, patch: Patch) -> View:
         """A drawn pose and its motion: ``transforms`` (P, 3, 4) and their ``slopes`` (d, P, 3, 4)."""
         linear = slopes[..., :3] @ np.linalg.inv(transforms[..., :3])  # (d, P, 3, 3): camera to camera
-        shift = slopes[..., 3] - np.einsum("dpij,pj->dpi", linear, transforms[..., 3])
+        origin = np.array([*patch.origin, 0.0])
+        shift = slopes[..., 3] - np.einsum("dpij,pj->dpi", linear, transforms[..., 3] - origin)
         y, x = np.nonzero(seen.face >= 0)
         face, depth = seen.face[y, x], seen.depth[y, x]
-        point = np.stack([x + 0.5, y + 0.5, depth], axis=1) / patch.zoom + [*patch.origin, 0.0]
+        point = np.stack([x + 0.5, y + 0.5, depth], axis=1).astype(np.float32) / np.float32(patch.zoom)
         normal = self._body.normals(transforms, face)
-        d, flow, turn = len(slopes), np.empty((len(slopes), len(x), 2)), np.empty((len(slopes), len(x), 3))
+        d, n = len(slopes), len(x)
+        flow, turn = np.empty((d, n, 2), np.float32), np.empty((d, n, 3), np.float32)
         part = self._body.mesh.part_of[face]
         for p in np.unique(part):
             of = np.flatnonzero(part == p)
-            rows = linear[:, p].reshape(3 * d, 3).T  # one product for all coordinates
-            moved = (point[of] @ rows).reshape(-1, d, 3)[..., :2] + shift[:, p, :2]
-            flow[:, of] = np.swapaxes(patch.zoom * moved, 0, 1)
-            turned = (normal[of] @ rows).reshape(-1, d, 3)
-            along = turned @ normal[of][:, :, None]
-            turn[:, of] = np.swapaxes(turned - along * normal[of][:, None], 0, 1)
+            across = np.swapaxes(linear[:, p], 1, 2).astype(np.float32)
+            moved = point[of] @ across[..., :2] + shift[:, p, None, :2].astype(np.float32)
+            flow[:, of] = np.float32(patch.zoom) * moved
+            facing = normal[of].astype(np.float32)
+            turned = facing @ across
+            turn[:, of] = turned - np.einsum("dnk,nk->dn", turned, facing)[..., None] * facing
         return View(y * len(patch.brightness) + x, normal, depth, self._body.mesh.surfaces[face], flow, turn)

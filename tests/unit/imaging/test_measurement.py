@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from service.imaging.background import FLOOR, Sky, derive, learn
 from service.imaging.features import feature_spec
-from service.imaging.measurement import FrameMaps, even_edge, histogram_log_ratio, log_total, measure
+from service.imaging.measurement import FrameMaps, even_edge, histogram_log_ratio, measure
 
 SIZE = 96
 CENTRE = (48.3, 47.6)
@@ -54,11 +54,6 @@ def test_equations_2_and_3_by_hand():
     constant = 2 * np.log(0.7495 / (2 / 6)) + np.log(0.25 / (1 / 6)) + 3 * np.log(0.00025 / (3 / 6))
     assert found.log_background == pytest.approx(constant, abs=1e-9)
     assert found.log_background == pytest.approx(1.62053 + 0.40547 - 22.80271, abs=1e-4)
-
-
-def test_total_is_the_histogram_of_the_whole_image():
-    bins = np.array([[0, 2], [2, 2]])
-    np.testing.assert_allclose(np.exp(log_total(bins, 4)), [[0.25, 0.75], [0.75, 0.75]])
 
 
 @pytest.mark.parametrize("feature", ["intensity", "colour", "gradient"])

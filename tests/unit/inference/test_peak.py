@@ -8,7 +8,7 @@ from service.inference.domain import Domain
 from service.inference.mixture import Draws
 from service.inference.modes import distance
 from service.inference.params import FilterParams, PriorParams, SessionConfig
-from service.inference.peak import heading, likeliest_twin, sharpen
+from service.inference.peak import best_pose, heading, likeliest_twin
 from service.inference.pose import concatenate, local, retract
 from service.inference.state import FilterState, Frame, Measurement, Poses
 from service.inference.symmetry import Symmetry, twin
@@ -51,7 +51,7 @@ def update_where_the_other_side_is(lower: float) -> tuple[Update, Draws]:
 def test_the_side_that_fits_better_is_taken():
     update, draws = update_where_the_other_side_is(lower=60.0)
     chosen = likeliest_twin(update, draws)
-    assert distance(sharpen(update, chosen)[0], TRUTH, update.metric)[0] < 0.1
+    assert distance(best_pose(update, chosen)[0], TRUTH, update.metric)[0] < 0.1
     np.testing.assert_allclose(chosen.log_likelihood, update.score(chosen.poses))
     np.testing.assert_array_equal(chosen.rates[0], [1, -1, -1, 1, 1, 1])  # an axial vector in a mirror
     gain = update.config.likelihood.exponent * (chosen.log_likelihood - draws.log_likelihood)
@@ -100,7 +100,7 @@ def two_modes(prefer: str) -> tuple[Update, Draws, Poses, Poses]:
 @pytest.mark.parametrize(("rule", "expected"), [("likelihood", 0), ("weight", 1), ("continuity", 1)])
 def test_the_best_pose_is_of_the_preferred_mode(rule, expected):
     update, draws, *modes = two_modes(rule)
-    best, _ = sharpen(update, draws)
+    best, _ = best_pose(update, draws)
     assert distance(best, modes[expected], update.metric)[0] < 0.1
     known = heading(update, draws, best)
     assert set(known) == (set(update.state.memory) if rule == "continuity" else set())
@@ -109,4 +109,4 @@ def test_the_best_pose_is_of_the_preferred_mode(rule, expected):
 def test_continuity_without_a_mode_that_goes_on_takes_the_heaviest():
     update, draws, _, heavy = two_modes("continuity")
     update.state.memory["heading_rate"][:] = [0.0, 2.0, 0.0, 0.0, 0.0, 0.0]
-    assert distance(sharpen(update, draws)[0], heavy, update.metric)[0] < 0.1
+    assert distance(best_pose(update, draws)[0], heavy, update.metric)[0] < 0.1

@@ -89,18 +89,21 @@ def steps_back(shade: Shading, away: Poses, rounds: int = 4) -> Poses:
     return away
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_steps_by_brightness_alone_lead_back_to_the_true_pose(demo, seed):
+def test_steps_by_brightness_alone_lead_back_to_the_true_pose(demo):
     body, articulation = demo
     true = pose(body.mesh, np.array([[joint.initial for joint in articulation.joints]]))
     shade = Shading(body, articulation, maps_of(body.mesh, articulation, true, Light(phase_deg=50, sun_roll_deg=70)))
-    offset = np.random.default_rng(seed).standard_normal((1, true.joints.shape[1] + 6))
-    offset *= np.array([0.03, 0.03, 0.03, 0.6, 0.6, 0.01, *np.full(true.joints.shape[1], 2.0)])
-    away = retract(true, offset)
-    back = steps_back(shade, away)
-    before, after = (np.rad2deg(angle_between(p.quaternion, true.quaternion))[0] for p in (away, back))
-    assert after < max(0.5 * before, 1.2)
-    assert np.hypot(*(back.position - true.position)[0]) < 0.5
+    before, after = [], []
+    for seed in range(8):
+        offset = np.random.default_rng(seed).standard_normal((1, true.joints.shape[1] + 6))
+        offset *= np.array([0.03, 0.03, 0.03, 0.6, 0.6, 0.01, *np.full(true.joints.shape[1], 2.0)])
+        away = retract(true, offset)
+        back = steps_back(shade, away)
+        before.append(np.rad2deg(angle_between(away.quaternion, true.quaternion))[0])
+        after.append(np.rad2deg(angle_between(back.quaternion, true.quaternion))[0])
+        assert np.hypot(*(back.position - true.position)[0]) < 0.5
+    assert np.median(after) < 0.5 * np.median(before)
+    assert max(after) < 0.5 * max(before)
 
 
 def test_the_curvature_has_no_negative_direction_and_few_pixels_count(demo):
