@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.inference.domain import Domain
 from service.inference.islands import pick
 from service.inference.modes import distance, metric_of
-from service.inference.pose import from_matrices, rotation_matrices
+from service.inference.pose import conjugate, from_matrices, multiply, rotation_matrices
 from service.inference.state import Array, Poses
 
 _DEPTH = np.diag([1.0, 1.0, -1.0])
@@ -45,14 +45,24 @@ def twin(poses: Poses, symmetry: Symmetry) -> Poses:
 
     R' = D R S^T with D = Z for a mirror and the identity otherwise; the offset is taken up by the position.
     """
-    s = np.asarray(symmetry.matrix)
-    depth = _DEPTH if np.linalg.det(s) < 0 else np.eye(3)
-    rotation = depth @ rotation_matrices(poses.quaternion) @ s.T
-    shift = np.exp(poses.log_scale)[:, None] * (rotation @ np.asarray(symmetry.offset))[:, :2]
-    joints = poses.joints
+    left, right = _factors(symmetry)
+    quaternion = multiply(multiply(left, poses.quaternion), right)
+    position, joints = poses.position, poses.joints
+    if any(symmetry.offset):
+        moved = rotation_matrices(quaternion) @ np.asarray(symmetry.offset)
+        position = position - np.exp(poses.log_scale)[:, None] * moved[:, :2]
     if joints.shape[1]:
         joints = joints * np.asarray(symmetry.joint_sign) + np.asarray(symmetry.joint_shift)
-    return Poses(from_matrices(rotation), poses.position - shift, poses.log_scale, joints)
+    return Poses(quaternion, position, poses.log_scale, joints)
+
+
+@lru_cache(maxsize=256)
+def _factors(symmetry: Symmetry) -> tuple[Array, Array]:
+    """Quaternions a and b such that a q b is the twin's: for a mirror Z R S^T = (-Z) R (-S)^T, three rotations."""
+    s = np.asarray(symmetry.matrix)
+    sign = np.linalg.det(s) < 0
+    left = -_DEPTH if sign else np.eye(3)
+    return from_matrices(left), conjugate(from_matrices(-s if sign else s))
 
 
 def twin_rates(rates: Array, symmetry: Symmetry) -> Array:
@@ -80,18 +90,12 @@ def fold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain, 
 
 def unfold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain) -> tuple[Poses, Array]:
     """Spread the particles evenly over all twins, in turn: no twin can die out by chance."""
-    turn = np.arange(len(poses)) % (len(twins) + 1)
-    for k, symmetry in enumerate(twins, start=1):
-        poses, rates = _where_turn(turn == k, poses, rates, symmetry, domain)
-    return poses, rates
+    return _in_turn(poses, rates, twins, domain)
 
 
 def refold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain) -> tuple[Poses, Array]:
     """Undo ``unfold``: by each particle's turn, not by what is near, so that a body may turn through a twin."""
-    turn = np.arange(len(poses)) % (len(twins) + 1)
-    for k, symmetry in enumerate(twins, start=1):
-        poses, rates = _where_turn(turn == k, poses, rates, inverse(symmetry), domain)
-    return poses, rates
+    return _in_turn(poses, rates, [inverse(symmetry) for symmetry in twins], domain)
 
 
 def inverse(symmetry: Symmetry) -> Symmetry:
@@ -103,8 +107,14 @@ def inverse(symmetry: Symmetry) -> Symmetry:
     return Symmetry(rows, (float(back[0]), float(back[1]), float(back[2])), symmetry.joint_sign, shift)
 
 
-def _where_turn(
-    chosen: NDArray[np.bool_], poses: Poses, rates: Array, symmetry: Symmetry, domain: Domain
-) -> tuple[Poses, Array]:
-    moved = pick(chosen, domain.wrap(twin(poses, symmetry)), poses)
-    return moved, np.where(chosen[:, None], twin_rates(rates, symmetry), rates)
+def _in_turn(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain) -> tuple[Poses, Array]:
+    """The first particle stays, the next ones are seen through one of the symmetries each, and so on."""
+    quaternion, position, joints, rates = (
+        array.copy() for array in (poses.quaternion, poses.position, poses.joints, rates)
+    )
+    for k, symmetry in enumerate(twins, start=1):
+        mine = np.arange(k, len(poses), len(twins) + 1)
+        moved = domain.wrap(twin(poses[mine], symmetry))
+        quaternion[mine], position[mine], joints[mine] = moved.quaternion, moved.position, moved.joints
+        rates[mine] = twin_rates(rates[mine], symmetry)
+    return Poses(quaternion, position, poses.log_scale, joints), rates

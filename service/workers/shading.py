@@ -76,9 +76,11 @@ class Shading:
         normal = self._body.normals(transforms, face)
         d, n = len(slopes), len(x)
         flow, turn = np.empty((d, n, 2), np.float32), np.empty((d, n, 3), np.float32)
-        part = self._body.mesh.part_of[face]
-        for p in np.unique(part):
-            of = np.flatnonzero(part == p)
+        every = np.concatenate([transforms[None], slopes]).swapaxes(0, 1).reshape(len(transforms), -1)
+        _, first, alike = np.unique(every, axis=0, return_index=True, return_inverse=True)
+        together = alike.ravel()[self._body.mesh.part_of[face]]  # parts that no joint moves apart go as one
+        for k, p in enumerate(first):
+            of = np.flatnonzero(together == k)
             across = np.swapaxes(linear[:, p], 1, 2).astype(np.float32)
             moved = point[of] @ across[..., :2] + shift[:, p, None, :2].astype(np.float32)
             flow[:, of] = np.float32(patch.zoom) * moved

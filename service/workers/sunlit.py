@@ -50,11 +50,8 @@ class SunlitBody:
 
     def normals(self, transforms: Array, face: NDArray[np.int64]) -> Array:
         """(n, 3) unit normals of faces (n,) of a posed body, away from those who see them, in the camera frame."""
-        turned = np.empty((len(face), 3))
-        part = self.mesh.part_of[face]
-        for p in np.unique(part):
-            of = part == p
-            turned[of] = self.mesh.normals[face[of]] @ transforms[p, :, :3].T
+        linear = transforms[self.mesh.part_of[face], :, :3]
+        turned = np.einsum("nij,nj->ni", linear, self.mesh.normals[face])
         length = np.maximum(np.linalg.norm(turned, axis=1), 1e-300)
         return np.asarray(turned / -np.copysign(length, turned[:, 2])[:, None], np.float64)
 
