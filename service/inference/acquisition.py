@@ -44,7 +44,7 @@ def find_evidence(log_ratio: Map) -> Evidence | None:
     labels, count = ndimage.label(log_ratio > 0, structure=np.ones((3, 3)))
     if count == 0:
         return None
-    areas = ndimage.sum_labels(np.ones_like(log_ratio), labels, np.arange(1, count + 1))
+    areas = np.bincount(labels.ravel())[1:]
     largest = int(np.argmax(areas))
     kept = areas >= max(4.0, 0.05 * areas[largest])
     kept[largest] = True

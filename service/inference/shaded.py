@@ -68,5 +68,5 @@ def shade_mode(
     mean = outline.mean + exponent * covariance @ slope.gradient
     shaded = replace(part, slope=slope)
     start = Proposal(mean, np.asarray(np.linalg.cholesky(INFLATION * covariance), np.float64))
-    found, done = temper_proposal(rng, shaded, score, exponent, start)
+    found, done = temper_proposal(rng, shaded, score, exponent, start, settled=False)
     return (shaded, found) if done else (part, adapted)
