@@ -228,9 +228,8 @@ def faint_light(residual: NDArray[np.float32], sky: Sky, near_light: NDArray[np.
     variance = cv2.GaussianBlur(weight, (0, 0), _FAINT_SIGMA_PX / np.sqrt(2)) / (4 * np.pi * _FAINT_SIGMA_PX**2)
     total = cv2.GaussianBlur(residual * weight[..., None], (0, 0), _FAINT_SIGMA_PX).reshape(residual.shape)
     z = total / sky.sigma / np.sqrt(np.maximum(variance, 1e-6))[..., None]
-    z = z / np.maximum(
-        1.0, 1.4826 * np.median(np.abs(z[::2, ::2]), axis=(0, 1))
-    )  # the sky's own structure is noise too
+    usual = np.median(np.abs(z[::2, ::2]), axis=(0, 1))
+    z = z / np.maximum(1.0, 1.4826 * usual)  # the sky's own structure is noise too
     significance = np.sqrt(np.einsum("ijc,ijc->ij", z, z))
     seen = np.where(weight > 0, significance, 0.0).astype(np.float32)
     bright = cv2.GaussianBlur(brightest_within(seen, _FAINT_SIGMA_PX), (0, 0), _FAINT_SIGMA_PX)

@@ -14,7 +14,7 @@ from service.inference.modes import cluster, distance, short_way
 from service.inference.motion import carry_on
 from service.inference.pose import concatenate, local, retract
 from service.inference.slope import sloped
-from service.inference.state import Poses
+from service.inference.state import Array, Poses
 from service.inference.symmetry import Symmetry, twin, twin_rates
 from service.inference.update import Update
 from service.inference.weights import normalise
@@ -35,10 +35,8 @@ def best_pose(update: Update, draws: Draws) -> tuple[Poses, float]:
     metric = update.metric
     value = draws.log_likelihood + sloped(draws.slopes, draws.poses, metric)
     top = int(np.argmax(np.where(_preferred(update, draws), value, -np.inf)))
-    best = draws.poses[top : top + 1]
-    near = np.flatnonzero(distance(draws.poses, best, metric) <= 1.0)
-    weights = np.exp(normalise(draws.log_weights[near])[0])
-    mean = update.domain.wrap(retract(best, weights[None] @ short_way(local(best, draws.poses[near]), metric)))
+    best, weights, x = _around(update, draws, top)
+    mean = update.domain.wrap(retract(best, weights[None] @ x))
     log_likelihood = float(update.score(mean)[0])
     if log_likelihood + float(sloped(draws.slopes, mean, metric)[0]) < value[top]:
         return update.domain.wrap(best), float(draws.log_likelihood[top])
@@ -108,12 +106,17 @@ def _preferred(update: Update, draws: Draws) -> NDArray[np.bool_]:
     return np.asarray(labels == labels[nearest]) if gap[nearest] <= 1.0 else heaviest
 
 
-def _climb(update: Update, draws: Draws, top: int) -> tuple[Poses, float]:
-    """A cross-entropy search from particle ``top``, as wide as those around it."""
+def _around(update: Update, draws: Draws, top: int) -> tuple[Poses, Array, Array]:
+    """Particle ``top``; weights (n,) that sum to 1 and tangent coordinates (n, d) of those in its mode."""
     best = draws.poses[top : top + 1]
     near = np.flatnonzero(distance(draws.poses, best, update.metric) <= 1.0)
     weights = np.exp(normalise(draws.log_weights[near])[0])
-    x = short_way(local(best, draws.poses[near]), update.metric)
+    return best, weights, short_way(local(best, draws.poses[near]), update.metric)
+
+
+def _climb(update: Update, draws: Draws, top: int) -> tuple[Poses, float]:
+    """A cross-entropy search from particle ``top``, as wide as those around it."""
+    best, weights, x = _around(update, draws, top)
     x = x - weights @ x
     covariance = np.einsum("n,ni,nj->ij", weights, x, x) + 1e-8 * np.eye(x.shape[1])
     start = Islands(best, update.score(best), best, covariance[None], np.zeros(1))

@@ -60,9 +60,9 @@ def twin(poses: Poses, symmetry: Symmetry) -> Poses:
 def _factors(symmetry: Symmetry) -> tuple[Array, Array]:
     """Quaternions a and b such that a q b is the twin's: for a mirror Z R S^T = (-Z) R (-S)^T, three rotations."""
     s = np.asarray(symmetry.matrix)
-    sign = np.linalg.det(s) < 0
-    left = -_DEPTH if sign else np.eye(3)
-    return from_matrices(left), conjugate(from_matrices(-s if sign else s))
+    mirrored = np.linalg.det(s) < 0
+    left = -_DEPTH if mirrored else np.eye(3)
+    return from_matrices(left), conjugate(from_matrices(-s if mirrored else s))
 
 
 def twin_rates(rates: Array, symmetry: Symmetry) -> Array:

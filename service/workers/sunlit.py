@@ -16,7 +16,7 @@ from service.imaging.shading import point_spread as taps_of
 from service.inference.state import Array
 from service.workers.cache import Cache
 
-FIT = LightFit(TOWARDS_SUN.astype(np.float64), ROUNDS, EVERY, OUTLIER, COVERED)
+FIT = LightFit(TOWARDS_SUN, ROUNDS, EVERY, OUTLIER, COVERED)
 
 
 class SunlitBody:
@@ -104,5 +104,5 @@ def in_patch(transforms: NDArray[np.floating], patch: Patch) -> Array:
 def _open(mesh: Mesh) -> SunlitBody:
     try:
         return SunlitBody(mesh, open_sunlit(mesh, FIT))
-    except DeviceError:  # the scorer has told of it already
+    except DeviceError:  # of a CPU that fails or is missing the scorer tells, where it has no GPU
         return SunlitBody(mesh)
