@@ -30,7 +30,6 @@ VARIANTS = (
         "unlit parts cost as much as uncovered light",
         {"likelihood": {"covered_empty_nats": 3.0, "uncovered_bright_nats": 3.0}},
     ),
-    Variant("colour", "brightness instead of colour", {"likelihood": {"feature": "intensity"}}),
     Variant("price", "unlit parts cost twice as much", {"likelihood": {"covered_empty_nats": 1.0}}),
     Variant("edge", "light costs as much at its edge as inside", {"likelihood": {"edge_nats_per_px": 1e9}}),
     Variant(

@@ -86,7 +86,8 @@ class LikelihoodParams:
     """`histogram`: p(D|b) an empirical histogram, p(D|f) uniform (the paper). `contrast`: the edge is where the
     object's light falls to half of its local brightness, which a blur does not move."""
     feature: Literal["auto", "intensity", "colour", "gradient"] = "auto"
-    """What is measured in each pixel; `auto` takes colour where the frames have it."""
+    """`histogram`, and Eq. 2's constant in both: what is measured in each pixel; `auto` takes colour where the frames
+    have it. The `contrast` map is of all channels."""
     gradient_sigma_px: float = 1.0
     """Scale of the derivative image for `gradient`."""
     exponent: float = 0.05
