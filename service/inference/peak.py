@@ -76,8 +76,7 @@ def heading(update: Update, draws: Draws, best: Poses) -> Memory:
     """What the next frame must know to prefer the mode that goes on where ``best`` was going."""
     if update.config.filter.prefer != "continuity":
         return {}
-    near = np.flatnonzero(distance(draws.poses, best, update.metric) <= 1.0)
-    weights = np.exp(normalise(draws.log_weights[near])[0])
+    near, weights = _mode_at(update, draws, best)
     return {
         "heading_quaternion": best.quaternion,
         "heading_position": best.position,
@@ -106,11 +105,16 @@ def _preferred(update: Update, draws: Draws) -> NDArray[np.bool_]:
     return np.asarray(labels == labels[nearest]) if gap[nearest] <= 1.0 else heaviest
 
 
+def _mode_at(update: Update, draws: Draws, pose: Poses) -> tuple[NDArray[np.intp], Array]:
+    """The particles (n,) of the mode at one pose, and their weights, which sum to 1."""
+    near = np.flatnonzero(distance(draws.poses, pose, update.metric) <= 1.0)
+    return near, np.exp(normalise(draws.log_weights[near])[0])
+
+
 def _around(update: Update, draws: Draws, top: int) -> tuple[Poses, Array, Array]:
-    """Particle ``top``; weights (n,) that sum to 1 and tangent coordinates (n, d) of those in its mode."""
+    """Particle ``top``; weights (n,) and tangent coordinates (n, d) of those in its mode."""
     best = draws.poses[top : top + 1]
-    near = np.flatnonzero(distance(draws.poses, best, update.metric) <= 1.0)
-    weights = np.exp(normalise(draws.log_weights[near])[0])
+    near, weights = _mode_at(update, draws, best)
     return best, weights, short_way(local(best, draws.poses[near]), update.metric)
 
 
