@@ -83,7 +83,6 @@ def measure(
         psf_sigma_px=psf_sigma_px,
         covered_empty_nats=covered_empty_nats,
         uncovered_bright_nats=uncovered_bright_nats,
-        search=edge_nats_per_px is None,
     )
     if edge_nats_per_px is not None:
         log_ratio = even_edge(log_ratio, covered_empty_nats, edge_nats_per_px)
@@ -178,18 +177,16 @@ def contrast_log_ratio(
     psf_sigma_px: float,
     covered_empty_nats: float,
     uncovered_bright_nats: float,
-    search: bool,
 ) -> NDArray[np.float32]:
     """(H, W) bounded log-ratio that changes sign where the light is half of its local maximum.
 
-    For a ``search`` dim surfaces are taken as a whole, by neighbourhoods: by single pixels they come apart into specks,
-    and a wrong pose that fills the bright parts alone would win. Their edges are less sharp then.
+    Dim surfaces are taken as a whole, by neighbourhoods: by single pixels they come apart into specks, and a wrong pose
+    that fills the bright parts alone would win.
     """
     sharp, significance = half_level(residual, sky, psf_sigma_px)
     light = (sharp > 0) & (significance > _STRONG_SIGMA)
-    if search:
-        mean = cv2.GaussianBlur(significance, (0, 0), _FAINT_SIGMA_PX)
-        light &= (significance > _SURFACE_SIGMA) | (mean < _SURFACE_MEAN)
+    mean = cv2.GaussianBlur(significance, (0, 0), _FAINT_SIGMA_PX)
+    light &= (significance > _SURFACE_SIGMA) | (mean < _SURFACE_MEAN)
     near_light = brightest_within(light.astype(np.uint8), psf_sigma_px) > 0
     clear = residual - veil(residual, sky, light, near_light, psf_sigma_px)
     faint = np.minimum(faint_light(clear, sky, near_light), _FAINT_NATS)

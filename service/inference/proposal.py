@@ -21,7 +21,8 @@ from service.inference.weights import log_sum_exp, normalise
 
 Score = Callable[[Poses], Array]
 
-ROUND_DRAWS = 150
+ROUND_DRAWS = 150  # of a mode, or
+DRAWS_PER_COORDINATE = 15  # if those are more: fewer could not tell the covariance of a body of many joints
 MOST_ROUNDS = 10  # of tempering before and after a climb
 CLIMB_ROUNDS = 12
 MOST_CLIMBS = 3
@@ -146,7 +147,8 @@ def temper_proposal(
 
 def try_out(rng: np.random.Generator, part: Component, score: Score, proposal: Proposal) -> tuple[Array, Array]:
     """A round of draws (N, d) and what they score (N,)."""
-    x = proposal.mean + rng.standard_normal((ROUND_DRAWS, len(proposal.mean))) @ proposal.factor.T
+    d = len(proposal.mean)
+    x = proposal.mean + rng.standard_normal((max(ROUND_DRAWS, DRAWS_PER_COORDINATE * d), d)) @ proposal.factor.T
     poses = retract(part.mean, x)
     return x, score(poses) + part.shading(poses)
 
@@ -163,7 +165,7 @@ def climb(rng: np.random.Generator, part: Component, score: Score, exponent: flo
         target = log_density(prior, x) + exponent * log_likelihood
         peak = max(peak, float(target.max()))
         tried.append((float(np.median(target)), proposal))
-        best = x[np.argsort(-target)[: ROUND_DRAWS // 4]]
+        best = x[np.argsort(-target)[: len(x) // 4]]
         mean = best.mean(axis=0)
         covariance = np.einsum("ni,nj->ij", best - mean, best - mean) / len(best)
         covariance += 0.05 * proposal.factor @ proposal.factor.T + 1e-9 * part.covariance

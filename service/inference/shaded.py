@@ -10,7 +10,7 @@ import numpy as np
 from service.inference.pose import retract
 from service.inference.proposal import INFLATION, Adapted, Component, Proposal, Score, temper_proposal
 from service.inference.slope import Slope
-from service.inference.state import Poses
+from service.inference.state import Array, Poses
 
 SlopeAt = Callable[[Poses], Slope | None]
 
@@ -64,9 +64,23 @@ def shade_mode(
     slope = slope_at(retract(part.mean, outline.mean[None]))
     if slope is None:
         return part, temper_proposal(rng, part, score, exponent, outline)[0]
-    covariance = np.linalg.inv(np.linalg.inv(outline.factor @ outline.factor.T) + exponent * slope.curvature)
-    mean = outline.mean + exponent * covariance @ slope.gradient
+    factor = narrowed(outline.factor, exponent * slope.curvature)
+    mean = outline.mean + exponent * factor @ (factor.T @ slope.gradient)
     shaded = replace(part, slope=slope)
-    start = Proposal(mean, np.asarray(np.linalg.cholesky(INFLATION * covariance), np.float64))
+    start = Proposal(mean, float(np.sqrt(INFLATION)) * factor)
     found, done = temper_proposal(rng, shaded, score, exponent, start, settled=False)
     return (shaded, found) if done else (part, adapted)
+
+
+def narrowed(factor: Array, information: Array) -> Array:
+    """(d, d) Cholesky factor of (C^-1 + ``information``)^-1, ``factor`` (d, d) that of C.
+
+    As F (I + F' information F)^-1 F', whose middle is never less than the identity: with many joints C spans more
+    orders of magnitude than its inverse could be taken in.
+    """
+    d = len(factor)
+    inner = np.linalg.cholesky(np.eye(d) + factor.T @ information @ factor)
+    root = np.linalg.solve(inner, factor.T)  # root' root is the covariance
+    triangle = np.linalg.qr(root, mode="r")
+    signs = np.where(np.diag(triangle) < 0, -1.0, 1.0)
+    return np.asarray((signs[:, None] * triangle).T, np.float64)

@@ -29,7 +29,10 @@ class Slope:
     @cached_property
     def least(self) -> Array:
         """(d,) tangent coordinates of the best pose, as far as light and shade tell any."""
-        return np.asarray(np.linalg.pinv(self.curvature, rcond=1e-6, hermitian=True) @ self.gradient, np.float64)
+        diagonal = np.diag(self.curvature)
+        unit = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))  # radians, pixels and a joint's degrees made alike
+        alike = np.linalg.pinv(unit[:, None] * self.curvature * unit, rcond=1e-6, hermitian=True)
+        return np.asarray(unit * (alike @ (unit * self.gradient)), np.float64)
 
     def __call__(self, poses: Poses) -> Array:
         """(N,) nats, 0 at the best pose."""

@@ -28,6 +28,7 @@ from service.inference.weights import normalise
 ESTABLISHED_FRAMES = 3  # frames of support in a row before a track is called one
 SUPPORT_FLOOR = 0.3  # share of the frame's light that the best silhouette must explain
 SUPPORT_DROP = 0.6  # of the track's own usual support; below it the whole space is searched again
+LEAST_GAIN = 0.02  # of what the track's silhouettes usually gain on empty sky: less is a star, not the object
 FADE = 0.85  # of the running averages, per frame
 RENEW_FRAMES = 10  # a track is held against a search of the whole space this often
 NEWCOMER = 0.01  # prior weight of what a renewed search finds beside a track
@@ -61,7 +62,7 @@ def track(
     if draws is None or not established or renew or not supported(update, draws):
         glance = draws is not None and established and supported(update, draws)
         draws = likeliest_twin(update, search(update, evidence, draws, glance))
-    if float(np.max(draws.log_likelihood)) <= 0.0:
+    if float(np.max(draws.log_likelihood)) <= LEAST_GAIN * float(update.recall("gain", 0.0)):
         return unseen(update)
     return conclude(update, draws, evidence)
 
@@ -201,6 +202,9 @@ def conclude(update: Update, draws: Draws, evidence: Evidence) -> Outcome:
     left = update.misfit(evidence, draws.poses, draws.log_likelihood)
     memory["misfit"] = np.array(FADE * float(update.recall("misfit", left)) + (1 - FADE) * left)
     memory["age"] = np.array(0.0 if lost else before + 1)
+    gain = float(np.max(draws.log_likelihood))
+    if not lost:
+        memory["gain"] = np.array(FADE * float(update.recall("gain", gain)) + (1 - FADE) * gain)
     memory["support"] = np.array(FADE * float(update.recall("support", fit)) + (1 - FADE) * fit)
     status = "lost" if lost else "tracking" if before + 1 >= ESTABLISHED_FRAMES else "acquiring"
     log_weights, log_evidence = normalise(draws.log_weights)

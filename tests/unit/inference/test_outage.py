@@ -13,7 +13,7 @@ from service.inference.pose import angle_between, exp_so3, multiply
 from service.inference.state import Estimate, FilterState, Frame, Measurement, Poses
 from service.inference.step import one_of_twins, step
 from service.inference.symmetry import Symmetry
-from service.inference.tracking import unseen
+from service.inference.tracking import track, unseen
 from service.inference.update import Update
 
 WIDTH, HEIGHT = 40, 34
@@ -193,3 +193,20 @@ def test_a_joint_out_of_sight_stays_within_its_bounds():
     joints = unseen(update).poses.joints
     assert joints.min() >= 0.0
     assert joints.max() == 2.0
+
+
+@pytest.mark.parametrize(("gain", "status"), [(900.0, "tracking"), (5_000.0, "no_target")])
+def test_a_star_is_not_what_a_bright_track_has_become(gain, status):
+    """A sliver of the object may cover it: 20 nats are the object only where that is not next to nothing of its usual
+    gain on the empty sky."""
+    domain = Domain(WIDTH, HEIGHT, 1.0, Articulation(("bus",)), PriorParams(0.3, 1.0))
+    poses = Poses(np.tile([1.0, 0, 0, 0], (50, 1)), np.full((50, 2), 18.0), np.full(50, 2.0), np.zeros((50, 0)))
+    memory = {"age": np.array(5.0), "gain": np.array(gain), "support": np.array(0.9)}
+    state = FilterState(poses, np.full(50, -np.log(50)), np.zeros((50, 6)), 4, 0.4, "tracking", memory)
+    star = EMPTY.copy()
+    star[10:12, 10:14] = 3.0
+    rng = np.random.Generator(np.random.Philox(7))
+    frame = Frame(5, 0.5, Measurement(star, 0.0))
+    outcome = track(rng, state, frame, lambda p, maps: np.full((len(p), 1), 20.0), SessionConfig(), domain)
+    assert outcome.status == status
+    assert float(outcome.memory["gain"]) == pytest.approx(gain if status == "no_target" else 0.85 * gain + 0.15 * 20.0)

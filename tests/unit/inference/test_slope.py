@@ -9,7 +9,7 @@ from service.inference.articulation import Articulation
 from service.inference.modes import metric_of
 from service.inference.pose import retract
 from service.inference.proposal import Adapted, Component, Proposal, adapt
-from service.inference.shaded import shade
+from service.inference.shaded import narrowed, shade
 from service.inference.slope import Slope, sloped
 from service.inference.state import Poses
 
@@ -50,6 +50,28 @@ def test_each_pose_listens_to_the_slope_of_its_own_mode():
     assert said[0] == SLOPE(poses[:1])[0] and said[1] == other(poses[1:2])[0]
     assert said[2] == 0.0  # in neither mode
     assert sloped([], poses, METRIC) == pytest.approx(0.0)
+
+
+def test_units_do_not_decide_what_is_known():
+    """A joint in degrees has a curvature millions of times less than a rotation in radians, and is known as well."""
+    unit = np.array([1.0, 1.0, 1.0, 1e3, 1e3, 1e-2])
+    other = Slope(ORIGIN, CURVATURE @ LEAST / unit, CURVATURE / np.outer(unit, unit), 500.0)
+    assert other.least == pytest.approx(LEAST * unit, abs=1e-9)
+
+
+def test_knowing_more_narrows_a_covariance_of_any_shape():
+    """As inverses would, where those can be taken; where they cannot (many joints), still a covariance."""
+    rng = np.random.default_rng(5)
+    for d, decades in ((6, 2.0), (20, 16.0)):
+        turn, _ = np.linalg.qr(rng.standard_normal((d, d)))
+        factor = np.linalg.qr((turn * 10 ** (decades * (rng.random(d) - 0.5))).T, mode="r").T
+        more = rng.standard_normal((d, d))
+        information = more @ more.T
+        found = narrowed(factor, information)
+        assert np.all(np.diag(found) > 0) and np.all(np.triu(found, 1) == 0)
+        if decades < 8:
+            expected = np.linalg.inv(np.linalg.inv(factor @ factor.T) + information)
+            assert found @ found.T == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
 def part(log_weight: float = 0.0, mean: Poses = ORIGIN) -> Component:
