@@ -18,6 +18,7 @@ LEAST_CORE_PX = 1.0
 ROUNDS = 6
 OUTLIER_SIGMA = 2.0  # what is brighter than the veil by more is a dim part or a star
 FEWEST_PIXELS, MOST_PIXELS = 200, 2500
+MOST_SCATTERED = 0.7  # of the light that is not: a fit that wants more takes dim parts of the object for it
 REACH = 0.02  # of its greatest value: where a veil is not worth fitting
 
 
@@ -42,6 +43,7 @@ def veil(
     for channel in range(residual.shape[2]):
         basis = spread[..., channel].reshape(len(WIDTHS), -1)[:, around].astype(np.float64)
         share = _robust_share(basis, residual[..., channel].ravel()[around].astype(np.float64))
+        share *= min(1.0, MOST_SCATTERED / max(float(share.sum()), 1e-9))
         scattered[..., channel] = np.tensordot(share, spread[..., channel], axes=1)
     return scattered
 

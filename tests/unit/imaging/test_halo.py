@@ -61,6 +61,17 @@ def test_a_dim_panel_is_no_veil(sky):
     assert found[panel & ~near(body)].mean() < 0.15 * 5 * NOISE
 
 
+def test_no_veil_is_brighter_than_its_light(sky):
+    """One speck on a large dim surface: what surrounds it is not scattered out of it."""
+    surface = cv2.GaussianBlur(np.pad(np.full((80, 80), 3 * NOISE, np.float32), 40), (0, 0), 1.2)
+    noise = NOISE * np.random.default_rng(3).standard_normal((SIDE, SIDE))
+    residual = sky_residual((SKY + surface + noise).astype(np.uint16), sky)
+    speck = np.zeros((SIDE, SIDE), bool)
+    speck[79:81, 79:81] = True
+    found = veil(residual, sky, speck, near(speck), 1.2)
+    assert found.sum() <= 0.75 * residual[speck].sum()
+
+
 def test_the_veil_is_not_evidence_and_the_panel_is(sky):
     """Light around the body would hold a silhouette that is too large; the panel must go on to count."""
     image, body, panel, _ = scene(4 * NOISE, True)

@@ -23,8 +23,18 @@ def sky_of(frames, *, bits: int = 8, feature: str = "auto") -> Sky:
     return derive(background, feature, 1.0)
 
 
-def maps(image, sky: Sky, kind: str = "contrast", psf_sigma_px: float | None = None) -> FrameMaps:
-    return measure(image, sky, kind=kind, psf_sigma_px=psf_sigma_px, covered_empty_nats=1.0, uncovered_bright_nats=3.0)
+def maps(
+    image, sky: Sky, kind: str = "contrast", psf_sigma_px: float | None = None, rise: float | None = None
+) -> FrameMaps:
+    return measure(
+        image,
+        sky,
+        kind=kind,
+        psf_sigma_px=psf_sigma_px,
+        covered_empty_nats=1.0,
+        uncovered_bright_nats=3.0,
+        edge_nats_per_px=rise,
+    )
 
 
 def disc(radius: float = RADIUS, size: int = SIZE, over: int = 8) -> np.ndarray:
@@ -163,6 +173,19 @@ def test_a_large_object_does_not_make_light_of_the_sky(radius, sigma):
     image = frame(120 * cv2.GaussianBlur(disc(radius), (0, 0), sigma), 99)
     log_ratio = maps(image, sky, psf_sigma_px=sigma).log_ratio
     assert np.mean(log_ratio[disc(radius + 4 * sigma + 2) == 0] > 0) < 0.02
+
+
+@pytest.mark.parametrize("rise", [None, 0.6])
+@pytest.mark.parametrize("height", [8.0, 8.8, 9.6, 10.4])
+def test_a_dim_surface_is_whole(height, rise):
+    """Two to two and a half times a pixel's noise: specks by themselves, a disc by neighbourhoods; searched or followed.
+
+    Nor are the specks that do stand out taken for lights whose veil the rest would be.
+    """
+    sky = sky_of([frame(0.0, seed, noise=4.0) for seed in range(10)])
+    found = maps(frame(height * disc(), 99, noise=4.0), sky, rise=rise).log_ratio
+    assert np.mean(found[disc(RADIUS - 4) == 1] > 0) > 0.95
+    assert np.mean(found[disc(RADIUS + 4) == 0] > 0) < 0.02
 
 
 def test_the_edge_costs_alike_on_both_sides():
