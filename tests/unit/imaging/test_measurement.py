@@ -178,7 +178,7 @@ def test_a_large_object_does_not_make_light_of_the_sky(radius, sigma):
 @pytest.mark.parametrize("rise", [None, 0.6])
 @pytest.mark.parametrize("height", [8.0, 8.8, 9.6, 10.4])
 def test_a_dim_surface_is_whole(height, rise):
-    """Two to two and a half times a pixel's noise: specks by themselves, a disc by neighbourhoods; searched or followed.
+    """Two to two and a half times a pixel's noise: specks by themselves, a disc by neighbourhoods, always.
 
     Nor are the specks that do stand out taken for lights whose veil the rest would be.
     """
