@@ -20,7 +20,7 @@ from service.inference.pose import retract
 from service.inference.proposal import Component, component
 from service.inference.resample import RESAMPLERS
 from service.inference.search import island_components, log_occam, search_islands, search_reach
-from service.inference.state import FilterState, Frame, Outcome, Poses
+from service.inference.state import Array, FilterState, Frame, Outcome, Poses
 from service.inference.symmetry import Symmetry
 from service.inference.update import ScoreMaps, Shade, Update
 from service.inference.weights import normalise
@@ -77,8 +77,13 @@ def follow(update: Update) -> Draws:
     if update.config.filter.method == "tempered":
         return follow_by_moves(update)
     draws = mixture_posterior(update, predicted_components(update), update.exponent())
-    seen = FADE * update.recall("surprise", 1.0) + (1 - FADE) * np.asarray(draws.memory["surprise"], np.float64)
-    return replace(draws, memory={"surprise": np.asarray(seen)})
+    return replace(draws, memory={"surprise": lately(update, "surprise", float(draws.memory["surprise"]), 1.0)})
+
+
+def lately(update: Update, name: str, now: float, before: float | None = None) -> Array:
+    """() running average of what memory keeps by ``name``; it begins at ``before``, or else at ``now``."""
+    usual = float(update.recall(name, now if before is None else before))
+    return np.array(FADE * usual + (1 - FADE) * now)
 
 
 def mixture_posterior(update: Update, parts: list[Component], exponent: float) -> Draws:
@@ -199,13 +204,11 @@ def conclude(update: Update, draws: Draws, evidence: Evidence) -> Outcome:
     fit = support(update, draws)
     lost = fit < SUPPORT_FLOOR
     before = float(update.recall("age", 0.0))
-    left = update.misfit(evidence, draws.poses, draws.log_likelihood)
-    memory["misfit"] = np.array(FADE * float(update.recall("misfit", left)) + (1 - FADE) * left)
     memory["age"] = np.array(0.0 if lost else before + 1)
-    gain = float(np.max(draws.log_likelihood))
+    memory["misfit"] = lately(update, "misfit", update.misfit(evidence, draws.poses, draws.log_likelihood))
+    memory["support"] = lately(update, "support", fit)
     if not lost:
-        memory["gain"] = np.array(FADE * float(update.recall("gain", gain)) + (1 - FADE) * gain)
-    memory["support"] = np.array(FADE * float(update.recall("support", fit)) + (1 - FADE) * fit)
+        memory["gain"] = lately(update, "gain", float(np.max(draws.log_likelihood)))
     status = "lost" if lost else "tracking" if before + 1 >= ESTABLISHED_FRAMES else "acquiring"
     log_weights, log_evidence = normalise(draws.log_weights)
     poses = update.domain.wrap(draws.poses)
