@@ -1,0 +1,206 @@
+"""Runs ``kernels/shaded.cl``: sunlit pictures of a body with cast shadows, many poses in one launch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from gpu.device import DeviceReport, find_devices, no_device_reason, open_device
+from gpu.errors import DeviceError
+from gpu.mesh import Mesh
+from gpu.program import KernelArgument, build, constant, device_errors
+from gpu.shaded_faces import LANES, face_table
+
+Numbers = NDArray[np.float32]
+EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
+BIAS_TEXELS = 0.3  # a face this much deeper than what the Sun's view holds is still in the light
+_GPU_ITEMS = 1024
+_GPU_BYTES = 1 << 29
+
+
+class ShadedBody:
+    """Draws one mesh on one OpenCL device. Owned, used and closed by one thread.
+
+    All methods take ``part_transforms`` (N, P, 3, 4): body point at rest -> (x px, y px, depth px) of a square patch
+    of ``side`` pixels whose first pixel begins at (0, 0); smaller depth is nearer. ``towards_sun`` is (3,) or (N, 3),
+    in the same axes: (0, 0, -1) is a Sun behind the camera. ``supersample`` samples along each axis of a pixel are
+    drawn. ``shadow_px`` is the resolution of cast shadows, texels across the body's diameter; 0: there are none.
+    A pose with a number that is not finite gives zeros.
+    """
+
+    def __init__(self, mesh: Mesh, groups: NDArray[np.integer], report: DeviceReport) -> None:
+        self.name = f"opencl:shaded:{report.name}"
+        self.n_groups = int(groups.max(initial=0)) + 1
+        self._n_parts = len(mesh.parts)
+        table = face_table(mesh, groups)
+        self._padded = table.n_padded
+        self._is_cpu = report.kind == "cpu"
+        self._memory: tuple[int, cl.Buffer] | None = None
+        with device_errors(self.name):
+            self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
+            self._context = self._queue.context
+            program = build(self._context, "lanes.cl", "shaded.cl", options=[f"-DBIAS={BIAS_TEXELS}f"])
+            self._planes, self._combined = (cl.Kernel(program, name) for name in ("planes", "combined"))
+            arrays = (table.corners, table.starts, table.groups, table.shut, table.boxes)
+            self._body: tuple[KernelArgument, ...] = (
+                *(constant(self._context, array) for array in arrays),
+                *(np.int32(v) for v in (self._n_parts, self._padded, table.bits)),
+                np.float32(mesh.radius),
+            )
+
+    def planes(
+        self,
+        part_transforms: NDArray[np.floating],
+        towards_sun: NDArray[np.floating],
+        *,
+        side: int,
+        supersample: int,
+        shadow_px: int,
+        gloss: tuple[float, ...] = (),
+    ) -> Numbers:
+        """(N, G + 1 + L, side, side): each group in the Sun's light, the coverage, then a lobe for each of ``gloss``.
+
+        A group's plane is the mean over a pixel's samples of n . s where the group is seen and the Sun reaches it;
+        a lobe that of (n . h)^k over the whole body, h half-way between the Sun and the camera.
+        """
+        given = self._given(part_transforms, towards_sun)
+        out = np.empty((len(given[0]), self.n_groups + 1 + len(gloss), side, side), np.float32)
+        self._launch(self._planes, given, out, (side, supersample, shadow_px), gloss, ())
+        return out
+
+    def combined(
+        self,
+        part_transforms: NDArray[np.floating],
+        towards_sun: NDArray[np.floating],
+        coefficients: NDArray[np.floating],
+        *,
+        side: int,
+        supersample: int,
+        shadow_px: int,
+        gloss: tuple[float, ...] = (),
+    ) -> Numbers:
+        """(N, side, side) sums of the planes times ``coefficients``, (G + 1 + L,) or (N, G + 1 + L)."""
+        given = self._given(part_transforms, towards_sun)
+        out = np.empty((len(given[0]), 1, side, side), np.float32)
+        self._sum(given, coefficients, out, (side, supersample, shadow_px), gloss)
+        return out[:, 0]
+
+    def pictures(
+        self,
+        part_transforms: NDArray[np.floating],
+        towards_sun: NDArray[np.floating],
+        *,
+        side: int,
+        supersample: int,
+        shadow_px: int,
+    ) -> Numbers:
+        """(N, 2, side, side): all groups in the Sun's light with ``EVEN_LIGHT`` added, and the coverage."""
+        given = self._given(part_transforms, towards_sun)
+        out = np.empty((len(given[0]), 2, side, side), np.float32)
+        alike = np.append(np.ones(self.n_groups), EVEN_LIGHT)
+        self._sum(given, alike, out, (side, supersample, shadow_px), ())
+        return out
+
+    def close(self) -> None:
+        """Wait for the device and give its memory back."""
+        self._queue.finish()
+        self._memory = None
+
+    def _given(
+        self, part_transforms: NDArray[np.floating], towards_sun: NDArray[np.floating]
+    ) -> tuple[Numbers, Numbers]:
+        """Transforms (N, P, 3, 4) and unit vectors (N, 3), in memory order; poses that are not finite as zeros."""
+        if part_transforms.ndim != 4 or part_transforms.shape[1:] != (self._n_parts, 3, 4):
+            raise ValueError(f"transforms are {part_transforms.shape}, not (N, {self._n_parts}, 3, 4)")
+        n = len(part_transforms)
+        suns = np.broadcast_to(np.asarray(towards_sun, np.float64), (n, 3))
+        length = np.linalg.norm(suns, axis=1, keepdims=True)
+        finite = np.isfinite(part_transforms).all(axis=(1, 2, 3)) & np.isfinite(length[:, 0]) & (length[:, 0] > 0)
+        suns = np.where(finite[:, None], suns / np.where(finite[:, None], length, 1.0), [0.0, 0.0, -1.0])
+        moved = np.ascontiguousarray(part_transforms, np.float32)
+        if not finite.all():
+            moved = np.where(finite[:, None, None, None], moved, np.float32(0.0))
+        return moved, suns.astype(np.float32)
+
+    def _sum(
+        self,
+        given: tuple[Numbers, Numbers],
+        coefficients: NDArray[np.floating],
+        out: Numbers,
+        sizes: tuple[int, int, int],
+        gloss: tuple[float, ...],
+    ) -> None:
+        count, n = self.n_groups + 1 + len(gloss), len(out)
+        if coefficients.shape not in ((count,), (n, count)):
+            raise ValueError(f"coefficients are {coefficients.shape}, not ({count},) or ({n}, {count})")
+        with device_errors(self.name):
+            share = constant(self._context, np.ascontiguousarray(coefficients, np.float32))
+        every = count if coefficients.ndim == 2 else 0
+        self._launch(self._combined, given, out, sizes, gloss, (share, np.int32(every), np.int32(out.shape[1])))
+
+    def _launch(
+        self,
+        kernel: cl.Kernel,
+        given: tuple[Numbers, Numbers],
+        out: Numbers,
+        sizes: tuple[int, int, int],
+        gloss: tuple[float, ...],
+        more: tuple[KernelArgument, ...],
+    ) -> None:
+        side, supersample, shadow_px = sizes
+        if min(side, supersample) < 1 or shadow_px < 0:
+            raise ValueError(f"{side} px, {supersample} samples and {shadow_px} texels cannot be drawn")
+        n = len(out)
+        if n == 0:
+            return
+        stride = _lanes(side * supersample)
+        shadow_side = shadow_px + 4 if shadow_px else 0
+        shadow_stride = _lanes(shadow_side)
+        numbers = (side, supersample, stride, shadow_px, shadow_side, shadow_stride, self.n_groups, len(gloss))
+        each = side * supersample * stride + shadow_side * shadow_stride + (3 + len(gloss)) * self._padded + 2 * stride
+        each = -(-(each + 2 * LANES) // 32) * 32
+        with device_errors(self.name):
+            items = self._items(n, each)
+            flags = cl.mem_flags
+            inputs = (cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in given)
+            result = cl.Buffer(self._context, flags.WRITE_ONLY, out.nbytes)
+            exponents = constant(self._context, np.asarray(gloss, np.float32))
+            counter = constant(self._context, np.zeros(1, np.int32))
+            scratch = self._scratch(4 * each * items)
+            head = (*inputs, np.int32(n), *self._body, *(np.int32(v) for v in numbers), exponents, result, scratch)
+            kernel(self._queue, (items,), (1,), *head, np.int32(each), counter, *more)
+            cl.enqueue_copy(self._queue, out, result)
+
+    def _items(self, poses: int, each: int) -> int:
+        """Work-items that share the poses: one for each core of a CPU, on a GPU as many as its memory may hold."""
+        most = self._queue.device.max_compute_units if self._is_cpu else min(_GPU_ITEMS, _GPU_BYTES // (4 * each))
+        return max(min(int(most), poses), 1)
+
+    def _scratch(self, size: int) -> cl.Buffer:
+        """Memory of all work-items together, kept until more is needed."""
+        if self._memory is None or self._memory[0] < size:
+            self._memory = None
+            self._memory = size, cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
+        return self._memory[1]
+
+
+def open_shaded(
+    mesh: Mesh, groups: NDArray[np.integer], *, reports: Sequence[DeviceReport] | None = None, kind: str = "cpu"
+) -> ShadedBody:
+    """On the first usable device of this kind. ``groups`` (F,): see ``gpu.surface_groups``.
+
+    Raises ``DeviceError`` where OpenCL has none.
+    """
+    if len(groups) != mesh.n_faces:
+        raise ValueError(f"{len(groups)} groups are given for {mesh.n_faces} faces")
+    for report in find_devices() if reports is None else reports:
+        if report.rejected is None and report.kind == kind:
+            return ShadedBody(mesh, groups, report)
+    raise DeviceError(f"no {kind.upper()} is an OpenCL device: {no_device_reason() or 'others are'}")
+
+
+def _lanes(count: int) -> int:
+    return -(-count // LANES) * LANES
