@@ -65,9 +65,14 @@ def gcrf_to_itrf(moment: datetime) -> Array:
     return np.asarray(matrix, dtype=np.float64)
 
 
+def terrestrial_mjd(moment: datetime) -> float:
+    """Modified Julian date in TT of an aware ``moment``."""
+    return _terrestrial_mjd(_mjd(moment))
+
+
 def of_date_to_gcrf(moment: datetime) -> Array:
     """(3, 3) matrix from the true equator and equinox of date to GCRF: the transpose of ERFA ``pnm06a``."""
-    return np.asarray(erfa.pnm06a(_MJD_ZERO, _terrestrial_mjd(_mjd(moment))), dtype=np.float64).T
+    return np.asarray(erfa.pnm06a(_MJD_ZERO, terrestrial_mjd(moment)), dtype=np.float64).T
 
 
 def zenith_frame(latitude_deg: float, longitude_deg: float) -> Array:

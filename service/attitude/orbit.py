@@ -22,7 +22,7 @@ from sgp4.earth_gravity import wgs72
 from sgp4.io import twoline2rv
 
 from service.attitude.camera import Site
-from service.attitude.earth import EarthOrientation, earth_orientation, zenith_frame
+from service.attitude.earth import EarthOrientation, earth_orientation, gcrf_to_itrf, zenith_frame
 from service.errors import ConfigError, InputError
 from service.inference.state import Array
 
@@ -51,6 +51,7 @@ class Sighting:
     elevation_deg: float  # without refraction
     elements_age_days: float  # from the epoch of the elements to the moment; negative before it
     earth: EarthOrientation
+    place_km: tuple[float, float, float]  # from the Earth's centre, GCRF
 
 
 class Orbit:
@@ -75,15 +76,18 @@ class Orbit:
         if problem:
             raise InputError(f"the orbit has no place at this time: {_reason(problem)}", field="query:time")
         earth = earth_orientation(moment)
-        offset = _greenwich(unix_days + earth.ut1_utc_s / _DAY_S) @ np.array(teme_km) - _site_km(site)
+        fixed = _greenwich(unix_days + earth.ut1_utc_s / _DAY_S) @ np.array(teme_km)
+        offset = fixed - _site_km(site)
         east, north, up = zenith_frame(site.latitude_deg, site.longitude_deg).T @ offset
         distance = float(np.linalg.norm(offset))
+        x, y, z = (gcrf_to_itrf(moment).T @ fixed).tolist()
         return Sighting(
             range_km=distance,
             azimuth_deg=float(np.rad2deg(np.arctan2(east, north)) % 360),
             elevation_deg=float(np.rad2deg(np.arcsin(up / distance))),
             elements_age_days=(moment - self.epoch).total_seconds() / _DAY_S,
             earth=earth,
+            place_km=(x, y, z),
         )
 
 
