@@ -22,6 +22,7 @@ from service.api.paging import problems
 from service.api.services import Services, ServicesDep
 from service.errors import InputError
 from service.sessions.frame import Answer, BackgroundIn, FrameIn
+from service.sessions.lighting import told_sun
 from service.sessions.session import Session
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["frames"])
@@ -64,6 +65,9 @@ class FrameQuery(BaseModel):
     needs `time` and the session's `camera.site_latitude_deg` and `camera.site_longitude_deg`."""
     el_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
     """Elevation of the optical axis, without refraction."""
+    sun: Annotated[str, Field(max_length=200)] | None = None
+    """`x,y,z` towards the Sun in camera axes: x right, y down, z away from the camera; any length. It goes before the
+    session's `light.sun`."""
 
 
 FrameQueryDep = Annotated[FrameQuery, Query()]
@@ -177,6 +181,8 @@ async def _take(
 ) -> Response:
     received = datetime.now(UTC)
     services.limits.check(caller, "pixels")
+    if query.sun is not None:
+        told_sun(query.sun)
     await services.registry.require_room(session)
     body, sha256 = await read_body(request)
     in_background = wants_async(request)

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model, mo
 from pydantic.json_schema import WithJsonSchema
 
 from service.api.rates import Rates
-from service.api.sky import Attitude, Camera, Orbit
+from service.api.sky import Attitude, Camera, Light, Orbit
 from service.api.wire import Orientation, Wire
 from service.inference.params import SessionConfig
 
@@ -118,6 +118,7 @@ class Estimate(Wire):
     """Where the camera's orientation is known."""
     orbit: Orbit | None = None
     """Where `prior.orbit` was given."""
+    light: Light = Field(default_factory=Light)
     particles: int
     ess: float
     log_evidence: float
@@ -265,6 +266,7 @@ class Session(Wire):
     motion: dict[str, Any]
     camera: dict[str, Any]
     joints: dict[str, Any]
+    light: dict[str, Any]
     links: dict[str, str]
 
 

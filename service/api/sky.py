@@ -1,4 +1,4 @@
-"""The wire: absolute attitude, and the camera among the stars."""
+"""The wire: absolute attitude, the camera among the stars, and the light."""
 
 from __future__ import annotations
 
@@ -57,3 +57,26 @@ class Orbit(Wire):
     """Pixels per model unit at this range, about which the scale is sought; null where `prior.unit_m` or the pixel
     scale is not known, or the object is below the horizon."""
     earth_orientation: EarthOrientation
+
+
+class Direction(Wire):
+    """Unit vector in camera axes: x right, y down, z away from the camera (of a mirrored image too)."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Light(Wire):
+    """Where the object's light comes from. Estimates of releases before it was told lack it: unknown."""
+
+    sun: Direction | None = None
+    """Towards the Sun. Null where nobody told it and time or camera orientation are not known."""
+    source: Literal["ephemeris", "told", "fitted", "unknown"] = "unknown"
+    """`ephemeris`: by the frame's time and the camera's orientation. `told`: with the frame or the session."""
+    sigma_deg: float | None = None
+    """Standard deviation of that direction; null where it is not known."""
+    phase_deg: float | None = None
+    """Angle Sun-object-observer: 0 is full light."""
+    sunlit: bool | None = None
+    """False in the Earth's umbra; null without `prior.orbit` or the frame's time."""

@@ -25,6 +25,8 @@ from service.inference.params import SessionConfig
 from service.inference.state import FilterState, PoseEstimate, Poses
 from service.sessions.document import JointNames, estimate_document
 from service.sessions.frame import format_time
+from service.sessions.lighting import light_at
+from service.sessions.ranging import scale_bounds
 from service.simulate.compare import silhouette
 from service.workers.base import BackgroundJob, FrameJob, FrameReport, ModelJob, PackedFrameReport
 from service.workers.tracker import Tracker, content_key
@@ -85,6 +87,7 @@ class OfflinePass:
         self._warnings = report.warnings
         self._blobs = {content_key(model.data): model.data}
         self._names = JointNames.of(report.articulation, config)
+        self._lit = light_at(config, {})
 
     def __enter__(self) -> OfflinePass:
         return self
@@ -159,12 +162,14 @@ class OfflinePass:
                 media_type=image.media_type,
                 twins=self._twins,
                 blobs=self._blobs,
+                scale_px=scale_bounds(self._config.prior, None),
+                light=self._lit.light,
             )
         )
 
     def _document(self, index: int, moment: datetime, report: FrameReport) -> bytes:
         packed = PackedFrameReport(b"", report.estimate, report.timing_ms, report.scorer)
-        return estimate_document(_SESSION_ID, index, format_time(moment), self._names, packed)
+        return estimate_document(_SESSION_ID, index, format_time(moment), self._names, packed, lit=self._lit)
 
     def _sheet_row(self, index: int, image: ImageFile, report: FrameReport) -> SheetRow:
         pixels = decode_frame(image.body, image.media_type).image

@@ -6,19 +6,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
-_FORBID: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True, "allow_inf_nan": False}
+from service.inference.checks import FORBID, require
+from service.inference.scene import CameraParams, LightParams, PriorParams
 
-
-def _require(ok: bool, message: str) -> None:
-    if not ok:
-        raise ValueError(message)
+__all__ = [
+    "CameraParams",
+    "FilterParams",
+    "JointParams",
+    "LightParams",
+    "LikelihoodParams",
+    "MotionParams",
+    "PriorParams",
+    "SessionConfig",
+    "preset_defaults",
+]
 
 
 @dataclass(frozen=True)
 class FilterParams:
     """The particle filter itself."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, Any]] = FORBID
 
     preset: Literal["balanced", "paper"] = "balanced"
     """Where every other default comes from. `paper` is the published method, nothing else."""
@@ -61,16 +69,16 @@ class FilterParams:
     """What `adaptive` `ess` aims at."""
 
     def __post_init__(self) -> None:
-        _require(1 <= self.particles <= 10_000_000, "particles must be between 1 and 10,000,000")
-        _require(0 <= self.seed < 2**63, "seed must be between 0 and 2^63 - 1")
-        _require(0 < self.target_ess < 1, "target_ess must lie between 0 and 1")
+        require(1 <= self.particles <= 10_000_000, "particles must be between 1 and 10,000,000")
+        require(0 <= self.seed < 2**63, "seed must be between 0 and 2^63 - 1")
+        require(0 < self.target_ess < 1, "target_ess must lie between 0 and 1")
         on_device = self.method == "bootstrap" and self.resampler in ("multinomial", "systematic")
-        _require(self.step != "device" or on_device, "step device is for bootstrap, multinomial or systematic")
-        _require(1 <= self.least_particles <= 10_000_000, "least_particles must be between 1 and 10,000,000")
-        _require(1 <= self.enough_ess <= 1e7, "enough_ess must be between 1 and 10,000,000")
-        _require(1 <= self.moves <= 1000, "moves must be between 1 and 1000")
-        _require(1 <= self.acquisition_moves <= 1000, "acquisition_moves must be between 1 and 1000")
-        _require(
+        require(self.step != "device" or on_device, "step device is for bootstrap, multinomial or systematic")
+        require(1 <= self.least_particles <= 10_000_000, "least_particles must be between 1 and 10,000,000")
+        require(1 <= self.enough_ess <= 1e7, "enough_ess must be between 1 and 10,000,000")
+        require(1 <= self.moves <= 1000, "moves must be between 1 and 1000")
+        require(1 <= self.acquisition_moves <= 1000, "acquisition_moves must be between 1 and 1000")
+        require(
             1 <= self.acquisition_particles <= 10_000_000,
             "acquisition_particles must be between 1 and 10,000,000",
         )
@@ -80,7 +88,7 @@ class FilterParams:
 class LikelihoodParams:
     """From a frame to its log-ratio map (Eq. 3)."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, Any]] = FORBID
 
     kind: Literal["contrast", "histogram"] = "contrast"
     """`histogram`: p(D|b) an empirical histogram, p(D|f) uniform (the paper). `contrast`: the edge is where the
@@ -114,48 +122,22 @@ class LikelihoodParams:
     multiple of `exponent`'s. 0: outlines alone."""
 
     def __post_init__(self) -> None:
-        _require(0 <= self.shading_nats <= 1e6, "shading_nats must lie in [0, 1000000]")
-        _require(0 <= self.shading_power <= 1000, "shading_power must lie in [0, 1000]")
-        _require(0.1 <= self.gradient_sigma_px <= 50, "gradient_sigma_px must be between 0.1 and 50")
-        _require(0 < self.exponent <= 1, "exponent must lie in (0, 1]")
-        _require(1e-3 <= self.misfit_nats <= 1e9, "misfit_nats must be between 0.001 and 1e9")
-        _require(0 < self.mode_exponent <= 1, "mode_exponent must lie in (0, 1]")
-        _require(0 < self.covered_empty_nats <= 100, "covered_empty_nats must lie in (0, 100]")
-        _require(1e-3 <= self.edge_nats_per_px <= 1e9, "edge_nats_per_px must be between 0.001 and 1e9")
-        _require(0 < self.uncovered_bright_nats <= 100, "uncovered_bright_nats must lie in (0, 100]")
-
-
-@dataclass(frozen=True)
-class PriorParams:
-    """Where a pose can be before the first frame (uniform, the paper's bounds)."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
-
-    min_extent: float = 0.1
-    """The object spans at least this share of the image."""
-    max_extent: float = 1.0
-    """The object spans at most this share of the image."""
-    orbit: str | None = None
-    """The object's mean elements, as text: a TLE of two or three lines, or an OMM as JSON, XML or KVN. With the
-    camera's site each estimate tells the range; with `unit_m` and the camera's `pixel_scale_arcsec` too, the scale is
-    known from it."""
-    unit_m: float | None = None
-    """Metres in a unit of the model."""
-    scale_tolerance: float = 0.1
-    """The scale lies within this share of the one that range, unit and pixel scale make."""
-
-    def __post_init__(self) -> None:
-        _require(0 < self.min_extent < self.max_extent <= 10, "0 < min_extent < max_extent <= 10 is required")
-        _require(self.orbit is None or 0 < len(self.orbit) <= 20_000, "orbit is a TLE or an OMM")
-        _require(self.unit_m is None or 1e-6 <= self.unit_m <= 1e6, "unit_m must be between 1e-6 and 1e6")
-        _require(0.001 <= self.scale_tolerance <= 0.9, "scale_tolerance must be between 0.001 and 0.9")
+        require(0 <= self.shading_nats <= 1e6, "shading_nats must lie in [0, 1000000]")
+        require(0 <= self.shading_power <= 1000, "shading_power must lie in [0, 1000]")
+        require(0.1 <= self.gradient_sigma_px <= 50, "gradient_sigma_px must be between 0.1 and 50")
+        require(0 < self.exponent <= 1, "exponent must lie in (0, 1]")
+        require(1e-3 <= self.misfit_nats <= 1e9, "misfit_nats must be between 0.001 and 1e9")
+        require(0 < self.mode_exponent <= 1, "mode_exponent must lie in (0, 1]")
+        require(0 < self.covered_empty_nats <= 100, "covered_empty_nats must lie in (0, 100]")
+        require(1e-3 <= self.edge_nats_per_px <= 1e9, "edge_nats_per_px must be between 0.001 and 1e9")
+        require(0 < self.uncovered_bright_nats <= 100, "uncovered_bright_nats must lie in (0, 100]")
 
 
 @dataclass(frozen=True)
 class MotionParams:
     """How a pose may change between frames; standard deviations per square root of a second."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, Any]] = FORBID
 
     kind: Literal["jitter", "constant_velocity"] = "constant_velocity"
     """`jitter`: a random step (the paper). `constant_velocity`: each particle carries the rates that its own path
@@ -181,69 +163,14 @@ class MotionParams:
     def __post_init__(self) -> None:
         names = ("rotation_deg", "position", "log_scale", "joint_deg", "joint_range", "rate_spread", "rate_change")
         for name in (*names, "frame_interval_s"):
-            _require(0 < getattr(self, name) <= 1e4, f"{name} must lie in (0, 10000]")
-
-
-@dataclass(frozen=True)
-class CameraParams:
-    """What is known of the camera."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
-
-    psf_sigma_px: float | None = None
-    """Width of the point spread (Gaussian sigma); estimated from the frames where it is not given."""
-    mount: Literal["equatorial", "altaz"] = "equatorial"
-    """What `up_angle_deg` counts from: north, or the zenith (the field then rotates among the stars)."""
-    up_angle_deg: float | None = None
-    """From north (`equatorial`) or the zenith (`altaz`) to the image's up direction, in the sense north through east
-    (anticlockwise on the sky). A frame's `position_angle_deg` goes before it. Without either no attitude is given."""
-    mirrored: bool = False
-    """The image is a mirror image of the sky (an odd number of reflections)."""
-    equinox: Literal["J2000", "date"] = "J2000"
-    """What right ascension, declination and position angle refer to: `date` is the true equator of date."""
-    pixel_scale_arcsec: float | None = None
-    """Of one pixel on the sky: takes the object's place in the image into account."""
-    site_latitude_deg: float | None = None
-    """Geodetic; needed for azimuth and elevation, and for an `altaz` mount."""
-    site_longitude_deg: float | None = None
-    """East of Greenwich."""
-    site_height_m: float = 0.0
-    """Above the ellipsoid (WGS 84); counts for a range only."""
-    ser_byte_order: Literal["auto", "little", "big"] = "auto"
-    """Of 16-bit SER files: their own flag is wrong in most, so `auto` looks at the pixels."""
-    headers: Literal["use", "ignore"] = "use"
-    """Time and pointing that frames bring in their own headers, where the call is silent."""
-    roi: tuple[int, int, int, int] | None = None
-    """Region of interest `[x, y, width, height]`, pixels: nothing else of a frame is looked at. What is reported stays
-    in pixels of the whole frame; shares of the image (`prior`, `motion.position`) are those of the region."""
-    binning: int = 1
-    """Squares of so many pixels a side are averaged before anything else, for speed or faint objects."""
-
-    def __post_init__(self) -> None:
-        _require(self.psf_sigma_px is None or 0 < self.psf_sigma_px <= 100, "psf_sigma_px must lie in (0, 100]")
-        scale, latitude, longitude = self.pixel_scale_arcsec, self.site_latitude_deg, self.site_longitude_deg
-        _require(scale is None or 0 < scale <= 3600, "pixel_scale_arcsec must lie in (0, 3600]")
-        _require(self.up_angle_deg is None or abs(self.up_angle_deg) <= 360, "up_angle_deg must be within 360")
-        _require(latitude is None or abs(latitude) <= 90, "site_latitude_deg must be within 90")
-        _require(longitude is None or abs(longitude) <= 360, "site_longitude_deg must be within 360")
-        _require(-1000 <= self.site_height_m <= 20_000, "site_height_m must be between -1000 and 20000")
-        _require((latitude is None) == (longitude is None), "a site has a latitude and a longitude")
-        _require(self.mount == "equatorial" or latitude is not None, "an altaz mount needs the site")
-        x, y, width, height = self.roi or (0, 0, 1, 1)
-        _require(min(x, y) >= 0 and min(width, height) >= 1, "roi is [x, y, width, height], none of them negative")
-        _require(1 <= self.binning <= 64, "binning must be between 1 and 64")
-
-    @property
-    def origin_px(self) -> tuple[int, int]:
-        """Where the region of interest begins."""
-        return (0, 0) if self.roi is None else (self.roi[0], self.roi[1])
+            require(0 < getattr(self, name) <= 1e4, f"{name} must lie in (0, 10000]")
 
 
 @dataclass(frozen=True)
 class JointParams:
     """Which joints are estimated."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, Any]] = FORBID
 
     free: Literal["all"] | tuple[str, ...] = ()
     """Names of the joints to estimate, or `all`. The others stay at their initial value."""
@@ -255,7 +182,7 @@ class JointParams:
 class SessionConfig:
     """The effective configuration of a session."""
 
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, Any]] = FORBID
 
     filter: FilterParams = field(default_factory=FilterParams)
     likelihood: LikelihoodParams = field(default_factory=LikelihoodParams)
@@ -263,10 +190,11 @@ class SessionConfig:
     motion: MotionParams = field(default_factory=MotionParams)
     camera: CameraParams = field(default_factory=CameraParams)
     joints: JointParams = field(default_factory=JointParams)
+    light: LightParams = field(default_factory=LightParams)
 
     def __post_init__(self) -> None:
         site = self.camera.site_latitude_deg
-        _require(self.prior.orbit is None or site is not None, "prior.orbit needs the site, camera.site_latitude_deg …")
+        require(self.prior.orbit is None or site is not None, "prior.orbit needs the site, camera.site_latitude_deg …")
 
 
 _PAPER: Mapping[str, Mapping[str, Any]] = {

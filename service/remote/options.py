@@ -19,6 +19,7 @@ class Sections(TypedDict, total=False):
     motion: dict[str, Any]
     camera: dict[str, Any]
     joints: dict[str, Any]
+    light: dict[str, Any]
 
 
 class Region(TypedDict, total=False):
@@ -39,6 +40,8 @@ class FrameFacts(TypedDict, total=False):
     position_angle_deg: float
     az_deg: float
     el_deg: float
+    sun: str
+    """``x,y,z`` towards the Sun, in camera axes."""
 
 
 def http_options(url: str, api_key: str | None, timeout_s: float) -> dict[str, Any]:

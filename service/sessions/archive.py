@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,7 +15,7 @@ from service.errors import NotFoundError
 from service.exports.formats import Subject, export
 from service.exports.history import PoseName
 from service.inference.articulation import hold
-from service.inference.params import SessionConfig
+from service.inference.params import LightParams, SessionConfig
 from service.sessions import config as session_config
 from service.sessions.contenders import of_the_leader
 from service.sessions.document import JointNames
@@ -171,6 +172,7 @@ def session_document(record: SessionRecord) -> dict[str, Any]:
         "created_at": record.created_at,
         "updated_at": record.updated_at,
         "warnings": list(record.warnings),
+        "light": asdict(LightParams()),  # of a session stored before there was a choice
         **record.config,
         "links": {
             **({} if record.model_ids else {"model": f"/v1/models/{model_id}"}),

@@ -7,6 +7,7 @@ from typing import Any
 
 import orjson
 from pydantic import TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
 
 from service.errors import ConfigError
 from service.inference.articulation import Articulation
@@ -78,8 +79,16 @@ def _preset(sections: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
 
 def _config_error(error: ValidationError) -> ConfigError:
     found = [
-        {"field": ".".join(str(part) for part in item["loc"]), "message": item["msg"]}
-        for item in error.errors(include_url=False, include_context=False, include_input=False)
+        {"field": _field(item), "message": item["msg"]} for item in error.errors(include_url=False, include_input=False)
     ]
-    first = found[0]
-    return ConfigError(f"{first['field']}: {first['message']}", field=first["field"], errors=found)
+    first = found[0]["field"]
+    said = dict.fromkeys(item["message"] for item in found if item["field"] == first)  # one for each type it may have
+    return ConfigError(f"{first}: {'; or: '.join(said)}", field=first, errors=found)
+
+
+def _field(item: ErrorDetails) -> str:
+    """Dotted name of what an error is about: without the types it may have, with the field that the error names."""
+    parts = [str(part) for part in item["loc"]]
+    types = [n for n, part in enumerate(parts) if part.startswith(("literal[", "tuple["))]
+    named = getattr(item.get("ctx", {}).get("error"), "field", None)
+    return ".".join([*parts[: types[0] if types else None], *([named] if named else [])])

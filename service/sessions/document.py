@@ -17,6 +17,7 @@ from service.inference.pose import yaw_pitch_roll_deg
 from service.inference.smoothed import SmoothedEstimate
 from service.inference.state import Mode, PoseEstimate, Rates, Spread
 from service.sessions.absolute import View, attitude_document, camera_document
+from service.sessions.lighting import UNKNOWN, Lit
 from service.workers.base import PackedFrameReport
 
 
@@ -43,10 +44,12 @@ def estimate_document(
     view: View | None = None,
     models: Sequence[Mapping[str, Any]] | None = None,
     orbit: Mapping[str, Any] | None = None,
+    lit: Lit = UNKNOWN,
 ) -> bytes:
     """The answer to a frame as JSON bytes; ``view`` is the camera among the stars, where it is known.
 
     ``models`` are those that the session compares, the one of ``report`` first. ``orbit``: where the object stands.
+    ``lit``: where its light comes from.
 
     Raises ``SkyposeError`` if a number in it is not finite.
     """
@@ -69,6 +72,7 @@ def estimate_document(
         "ess": float(estimate.ess),
         "log_evidence": float(estimate.log_evidence),
         "camera": None if view is None else camera_document(view),
+        "light": lit.document(),
         "timing_ms": {name: round(float(value), 3) for name, value in report.timing_ms.items()},
         "scorer": report.scorer,
     }

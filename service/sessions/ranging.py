@@ -10,13 +10,14 @@ import numpy as np
 from service.attitude.orbit import Orbit, Sighting
 from service.errors import InputError
 from service.imaging.facts import FrameFacts
-from service.inference.params import SessionConfig
+from service.inference.params import PriorParams, SessionConfig
 from service.sessions.absolute import mount_of
 from service.sessions.frame import FrameTime
 
 _ARCSECOND = np.pi / 648_000
 _ARCSECONDS = 3600.0
 _KM = 1000.0
+_SIGMAS = 3.0  # of a told scale, looked at on either side
 
 
 @dataclass(frozen=True)
@@ -70,3 +71,11 @@ class Ranging:
         scale = unit_m / (sighting.range_km * _KM * arcsec * _ARCSECOND)
         share = self._config.prior.scale_tolerance
         return Ranged(sighting, scale, (scale * (1 - share), scale * (1 + share)))
+
+
+def scale_bounds(prior: PriorParams, ranged: Ranged | None) -> tuple[float, float] | None:
+    """Least and greatest scale to look at, px of the whole frame per model unit: told, or by the range; else None."""
+    if prior.scale_px is not None:
+        factor = float(np.exp(_SIGMAS * prior.scale_sigma))
+        return prior.scale_px / factor, prior.scale_px * factor
+    return None if ranged is None else ranged.bounds_px

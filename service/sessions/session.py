@@ -31,9 +31,10 @@ from service.sessions.frame import (
 )
 from service.sessions.hub import Hub
 from service.sessions.inbox import Inbox
+from service.sessions.lighting import Lit, light_at
 from service.sessions.line import Line
 from service.sessions.pointings import Pointings
-from service.sessions.ranging import Ranged, Ranging
+from service.sessions.ranging import Ranged, Ranging, scale_bounds
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, Retention, SessionRecord
 from service.store.database import Database
@@ -56,6 +57,16 @@ class Rooms:
     metrics: Metrics
     retention: Retention
     line: Line
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a frame before it is looked at."""
+
+    moment: FrameTime
+    view: View | None
+    ranged: Ranged | None
+    lit: Lit
 
 
 class Session:
@@ -110,10 +121,9 @@ class Session:
         facts = await self._facts(frame)
         frame = replace(frame, time=frame.time or facts.time)
         moment = frame_time(record, frame, self._config.motion.frame_interval_s)
-        view = await self._view(frame, facts, moment)
-        ranged = await asyncio.to_thread(self._ranging.at, moment, facts)
-        contenders, report = await self._track(frame, record.background_key, moment.seconds, ranged)
-        return await self._commit(frame, moment, contenders, report, view, ranged)
+        known = await self._known(frame, facts, moment)
+        contenders, report = await self._track(frame, record.background_key, known)
+        return await self._commit(frame, known, contenders, report)
 
     async def _facts(self, frame: FrameIn) -> FrameFacts:
         """What the frame's own header says, where the session believes it."""
@@ -121,35 +131,32 @@ class Session:
             return NOTHING
         return frame.facts or await self._rooms.inspector.facts(frame.body, frame.media_type)
 
-    async def _view(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> View | None:
-        """The camera at this frame, and how it turned since the frame before."""
+    async def _known(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> Known:
+        """The camera at this frame and how it turned since the frame before, the object's range, the light."""
         record = self.record
         if record.next_index > 0 and not self._pointings.started:  # restored: the store knows the frame before
             document = await self._rooms.database.read(frames.estimate, record.id, record.next_index - 1)
             self._pointings.resume(await asyncio.to_thread(orjson.loads, document))
-        return await asyncio.to_thread(self._pointings.view, record, frame, facts, moment)
+        view = await asyncio.to_thread(self._pointings.view, record, frame, facts, moment)
+        ranged = await asyncio.to_thread(self._ranging.at, moment, facts)
+        lit = await asyncio.to_thread(light_at, self._config, frame.query, moment, view, ranged)
+        return Known(moment, view, ranged, lit)
 
     async def _track(
-        self, frame: FrameIn, background: str, time_s: float, ranged: Ranged | None
+        self, frame: FrameIn, background: str, known: Known
     ) -> tuple[tuple[Contender, ...], PackedFrameReport]:
         """The frame under every model, one job after the other; the report of the most probable."""
         # One measurement for all: evidence under different maps could not be compared.
         guide = self._contenders[leader(self._contenders)].state if len(self._contenders) > 1 else None
         after, reports = [], []
         for contender in self._contenders:
-            report = await self._track_one(contender, frame, background, time_s, guide, ranged)
+            report = await self._track_one(contender, frame, background, known, guide)
             after.append(contender.after(report))
             reports.append(report)
         return tuple(after), reports[leader(after)]
 
     async def _track_one(
-        self,
-        contender: Contender,
-        frame: FrameIn,
-        background: str,
-        time_s: float,
-        guide: bytes | None,
-        ranged: Ranged | None,
+        self, contender: Contender, frame: FrameIn, background: str, known: Known, guide: bytes | None
     ) -> PackedFrameReport:
         job = FrameJob(
             config=self._config,
@@ -159,30 +166,27 @@ class Session:
             background=background,
             state=None,
             frame_index=self.record.next_index,
-            time_s=time_s,
+            time_s=known.moment.seconds,
             body=frame.body,
             media_type=frame.media_type,
             twins=contender.twins,
             size=self._frame_size,
-            scale_px=None if ranged is None else ranged.bounds_px,
+            scale_px=scale_bounds(self._config.prior, known.ranged),
+            light=known.lit.light,
         )
         return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob, guide)
 
     async def _commit(
-        self,
-        frame: FrameIn,
-        moment: FrameTime,
-        contenders: tuple[Contender, ...],
-        report: PackedFrameReport,
-        view: View | None,
-        ranged: Ranged | None,
+        self, frame: FrameIn, known: Known, contenders: tuple[Contender, ...], report: PackedFrameReport
     ) -> Answer:
+        moment, view = known.moment, known.view
         index, text = self.record.next_index, format_time(moment.utc)
         names = contenders[leader(contenders)].names
         models = ranking(contenders) if len(contenders) > 1 else None
-        orbit = None if ranged is None else ranged.document()
+        orbit = None if known.ranged is None else known.ranged.document()
+        session_id = public_id(self.record.id)
         document = await asyncio.to_thread(
-            estimate_document, public_id(self.record.id), index, text, names, report, view, models, orbit
+            estimate_document, session_id, index, text, names, report, view, models, orbit, known.lit
         )
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
 from service.inference.belief import Belief
+from service.inference.light import Light
 from service.inference.params import SessionConfig
 from service.inference.smoothed import SmoothedEstimate
 from service.inference.state import Estimate, FilterState
@@ -90,6 +91,7 @@ class FrameJob:
     guide: Mapping[str, NDArray[np.generic]] | None = None  # memory to measure the frame with; None: the state's own
     size: tuple[int, int] | None = None  # width and height that the frame must have; None: what fits the background
     scale_px: tuple[float, float] | None = None  # bounds known for this frame, px of the whole frame per model unit
+    light: Light | None = None  # what is known of it before the frame is looked at
 
 
 @dataclass(frozen=True)
