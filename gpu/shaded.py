@@ -13,10 +13,10 @@ from gpu.errors import DeviceError
 from gpu.mesh import Mesh
 from gpu.program import KernelArgument, build, constant, device_errors
 from gpu.shaded_faces import LANES, face_table
+from gpu.shaded_reference import BIAS_TEXELS, STEEPEST
 
 Numbers = NDArray[np.float32]
 EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
-BIAS_TEXELS = 0.3  # a face this much deeper than what the Sun's view holds is still in the light
 _GPU_ITEMS = 1024
 _GPU_BYTES = 1 << 29
 
@@ -42,7 +42,9 @@ class ShadedBody:
         with device_errors(self.name):
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
-            program = build(self._context, "lanes.cl", "shaded.cl", options=[f"-DBIAS={BIAS_TEXELS}f"])
+            program = build(
+                self._context, "lanes.cl", "shaded.cl", options=[f"-DBIAS={BIAS_TEXELS}f", f"-DSTEEPEST={STEEPEST}f"]
+            )
             self._planes, self._combined = (cl.Kernel(program, name) for name in ("planes", "combined"))
             arrays = (table.corners, table.starts, table.groups, table.shut, table.boxes)
             self._body: tuple[KernelArgument, ...] = (

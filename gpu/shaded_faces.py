@@ -53,7 +53,7 @@ def face_table(mesh: Mesh, groups: NDArray[np.integer]) -> FaceTable:
         starts=np.cumsum([0, *(len(one) // LANES for one in padded)]).astype(np.int32),
         groups=np.where(real, groups[np.maximum(origin, 0)], 0).astype(np.int32),
         shut=own.astype(np.float32),
-        boxes=np.stack([_box(part.vertices) for part in mesh.parts]).astype(np.float32),
+        boxes=np.stack([part_box(part.vertices) for part in mesh.parts]).astype(np.float32),
         origin=origin,
     )
 
@@ -79,7 +79,8 @@ def closed_sides(mesh: Mesh) -> NDArray[np.float64]:
     return np.where(is_open, 0.0, np.sign(volume))[pieces]
 
 
-def _box(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+def part_box(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(7,) centre, half extents and radius of (V, 3) points."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre = 0.5 * (low + high)
     radius = float(np.linalg.norm(vertices - centre, axis=1).max())

@@ -22,7 +22,7 @@ def surface_groups(mesh: Mesh, most: int = 32) -> NDArray[np.int32]:
         raise ValueError(f"at least one group is needed, not {most}")
     _, pieces = merged_pieces(mesh)
     area = face_areas(mesh)
-    piece_area = np.bincount(pieces, weights=area)
+    piece_area = np.bincount(pieces, weights=area).astype(np.float64)
     n_pieces = len(piece_area)
     piece_part = np.zeros(n_pieces, np.int64)
     piece_part[pieces] = mesh.part_of

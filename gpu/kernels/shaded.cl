@@ -5,6 +5,9 @@
 // sixteen side by side, those of a part together, so that nothing is looked up by index: a corner is moved as often as
 // faces share it, which is cheaper than to gather it. Coordinates count samples, and sample (i, j) is the point (j, i).
 // A face's number is its place in these arrays.
+//
+// Built with BIAS, the texels by which a face may lie deeper than the Sun's view says and be lit, and STEEPEST, beyond
+// which a face is taken to be no steeper there.
 
 #pragma OPENCL FP_CONTRACT ON
 
@@ -12,7 +15,8 @@
 #define FAR_AWAY 1e30f
 #define LEAST_AREA 1e-6f     // a face smaller than this, in samples, is seen edge-on
 #define LEAST_RISE 1e-6f     // an edge lower than this is level
-#define STEEPEST 20.0f       // of a face in the Sun's view, texels of depth for each texel
+#define LEAST_RUN 1e-5f      // before an edge on the right, its side is its neighbour's
+#define NARROW 32            // samples up to which a face's rows are tested whole
 #define BORDER 1.0f          // texels around the body in the Sun's view
 
 #define least_of(a, b) ((a) < (b) ? (a) : (b))
@@ -53,10 +57,11 @@ typedef struct {
 
 typedef struct { float low[3], high[3]; } Range;
 
-// Sixteen faces, ready to be drawn: rows, three lines with the sides they bound, and the plane of depth.
+// Sixteen faces, ready to be drawn: rows and columns, three edges, and the plane of depth. A sample in column x of row
+// top + r lies on an edge's inner side where side x + from + r step is not negative.
 typedef struct {
-    int top[LANES], bottom[LANES];
-    float x[3][LANES], slope[3][LANES], not_left[3][LANES], not_right[3][LANES];
+    int top[LANES], bottom[LANES], left[LANES], right[LANES];
+    float side[3][LANES], from[3][LANES], step[3][LANES];
     float z[LANES], right_z[LANES], down_z[LANES], near[LANES], far[LANES];
 } Faces;
 
@@ -175,20 +180,21 @@ static uint prepare(const Corners c, const floats shut, const int width, const i
     const floats ax = c.x[1] - c.x[0], ay = c.y[1] - c.y[0], az = c.z[1] - c.z[0];
     const floats bx = c.x[2] - c.x[0], by = c.y[2] - c.y[0], bz = c.z[2] - c.z[0];
     const floats area = ax * by - ay * bx;
-    const ints seen = (first_from(left, width) < first_from(right, width)) & (top < bottom)
-        & (fabs(area) > LEAST_AREA) & (shut * area <= 0.0f);
+    const ints from = first_from(left, width), to_column = first_from(right, width);
+    const ints seen = (from < to_column) & (top < bottom) & (fabs(area) > LEAST_AREA) & (shut * area <= 0.0f);
     const uint drawn = lanes_where(seen);
     if (drawn == 0) return 0;
+    vstore16(from, 0, to->left);
+    vstore16(to_column, 0, to->right);
     const floats row = convert_float16(top), per_area = 1.0f / area;
     for (int k = 0; k < 3; ++k) {
         const int next = k == 2 ? 0 : k + 1;
-        const floats rise = c.y[next] - c.y[k], turn = rise * area;
-        const ints sloping = fabs(rise) > LEAST_RISE;
-        const floats slope = sloping ? (c.x[next] - c.x[k]) / rise : 0.0f;
-        vstore16(slope, 0, to->slope[k]);
-        vstore16(c.x[k] + (row - c.y[k]) * slope, 0, to->x[k]);
-        vstore16(sloping & (turn < 0.0f) ? 0.0f : (floats)-FAR_AWAY, 0, to->not_left[k]);
-        vstore16(sloping & (turn > 0.0f) ? 0.0f : (floats)FAR_AWAY, 0, to->not_right[k]);
+        const floats rise = c.y[next] - c.y[k];
+        const ints sloping = fabs(rise) > LEAST_RISE, is_left = rise * area < 0.0f;
+        const floats slope = (c.x[next] - c.x[k]) / rise, x = c.x[k] + (row - c.y[k]) * slope;
+        vstore16(sloping ? (is_left ? (floats)1.0f : (floats)-1.0f) : 0.0f, 0, to->side[k]);
+        vstore16(sloping ? (is_left ? -x : x - LEAST_RUN) : 1.0f, 0, to->from[k]);
+        vstore16(sloping ? (is_left ? -slope : slope) : 0.0f, 0, to->step[k]);
     }
     const floats right_z = (az * by - ay * bz) * per_area, down_z = (ax * bz - az * bx) * per_area;
     vstore16(top, 0, to->top);
@@ -208,69 +214,68 @@ static void find_runs(const Faces *faces, const int k, const int row, const int 
     const floats rows = convert_float16(lane_numbers() + (row - faces->top[k]));
     floats left = -FAR_AWAY, right = FAR_AWAY;
     for (int e = 0; e < 3; ++e) {
-        const floats x = faces->x[e][k] + rows * faces->slope[e][k];
-        const floats from = x + faces->not_left[e][k], to = x + faces->not_right[e][k];
-        left = most_of(left, from);
-        right = least_of(right, to);
+        const float side = faces->side[e][k];
+        const floats x = faces->from[e][k] + rows * faces->step[e][k];
+        if (side > 0.0f) left = most_of(left, -x);
+        if (side < 0.0f) right = least_of(right, x);
     }
     vstore16(first_from(left, width), 0, first);
     vstore16(first_from(right, width), 0, last);
 }
 
-// Runs are drawn in sixteens that start at multiples of sixteen: what was stored last is then loaded as it was stored.
-static void draw_key(const Faces *faces, const int k, const int width, const int number, const int bits,
-    __global int *keys, const int stride)
-{
-    const int bottom = faces->bottom[k], top = faces->top[k];
-    const float right_z = faces->right_z[k], near = faces->near[k], far = faces->far[k];
-    const floats across = convert_float16(lane_numbers()) * right_z;
-    int first[LANES], last[LANES];
-    for (int row = top; row < bottom; row += LANES) {
-        find_runs(faces, k, row, width, first, last);
-        const int count = min(LANES, bottom - row);
-        for (int i = 0; i < count; ++i) {
-            const int begin = first[i], end = last[i];
-            if (begin >= end) continue;
-            const float z = faces->z[k] + (float)(row + i - top) * faces->down_z[k];
-            for (int column = begin & -LANES; column < end; column += LANES) {
-                __global int *at = keys + (row + i) * stride + column;
-                floats depth = across + (z + (float)column * right_z);
-                depth = most_of(depth, (floats)near);
-                depth = least_of(depth, (floats)far);
-                const ints key = convert_int16_rtz(depth) << bits | number, lane = lane_numbers() + column;
-                const ints inside = (lane >= begin) & (lane < end), old = *(__global const ints *)at;
-                const ints offered = inside ? key : (ints)EMPTY;
-                *(__global ints *)at = least_of(offered, old);
-            }
-        }
-    }
+// Depths are stored in sixteens that start at multiples of sixteen: what was stored last is loaded as it was stored.
+#define KEEP_KEY(chosen) { \
+    const ints key = convert_int16_rtz(deep) << bits | number, offered = (chosen) ? key : (ints)EMPTY; \
+    const ints old = *(__global const ints *)at; \
+    *(__global ints *)at = least_of(offered, old); }
+#define KEEP_DEPTH(chosen) { \
+    const floats offered = (chosen) ? deep : (floats)FAR_AWAY, old = *(__global const floats *)at; \
+    *(__global floats *)at = least_of(offered, old); }
+
+// Draws face k. A narrow one, as most are: sixteen columns after sixteen, all its rows, against all edges.
+#define DRAW_FACE(NAME, TYPE, KEEP, ...) \
+static void NAME(const Faces *faces, const int k, const int width, __global TYPE *picture, const int stride, __VA_ARGS__) \
+{ \
+    const int top = faces->top[k], bottom = faces->bottom[k], left = faces->left[k] & -LANES, right = faces->right[k]; \
+    const float right_z = faces->right_z[k], down_z = faces->down_z[k]; \
+    const floats near = faces->near[k], far = faces->far[k]; \
+    const floats lanes = convert_float16(lane_numbers()); \
+    if (right - left <= NARROW) { \
+        for (int column = left; column < right; column += LANES) { \
+            const floats x = lanes + (float)column; \
+            const float a_step = faces->step[0][k], b_step = faces->step[1][k], c_step = faces->step[2][k]; \
+            floats a = x * faces->side[0][k] + faces->from[0][k], b = x * faces->side[1][k] + faces->from[1][k]; \
+            floats c = x * faces->side[2][k] + faces->from[2][k], z = x * right_z + faces->z[k]; \
+            __global TYPE *at = picture + top * stride + column; \
+            for (int row = top; row < bottom; ++row, at += stride) { \
+                const floats deep = least_of(most_of(z, near), far); \
+                KEEP((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) \
+                a += a_step; \
+                b += b_step; \
+                c += c_step; \
+                z += down_z; \
+            } \
+        } \
+        return; \
+    } \
+    int first[LANES], last[LANES]; \
+    for (int row = top; row < bottom; row += LANES) { \
+        find_runs(faces, k, row, width, first, last); \
+        for (int i = 0; i < min(LANES, bottom - row); ++i) { \
+            const int begin = first[i], end = last[i]; \
+            const floats z = lanes * right_z + (faces->z[k] + (float)(row + i - top) * down_z); \
+            for (int column = begin & -LANES; column < end; column += LANES) { \
+                __global TYPE *at = picture + (row + i) * stride + column; \
+                const floats deep = least_of(most_of(z + (float)column * right_z, near), far); \
+                const ints lane = lane_numbers() + column; \
+                KEEP((lane >= begin) & (lane < end)) \
+            } \
+        } \
+    } \
 }
 
-static void draw_depth(const Faces *faces, const int k, const int width, __global float *map, const int stride)
-{
-    const int bottom = faces->bottom[k], top = faces->top[k];
-    const float right_z = faces->right_z[k], near = faces->near[k], far = faces->far[k];
-    const floats across = convert_float16(lane_numbers()) * right_z;
-    int first[LANES], last[LANES];
-    for (int row = top; row < bottom; row += LANES) {
-        find_runs(faces, k, row, width, first, last);
-        const int count = min(LANES, bottom - row);
-        for (int i = 0; i < count; ++i) {
-            const int begin = first[i], end = last[i];
-            if (begin >= end) continue;
-            const float z = faces->z[k] + (float)(row + i - top) * faces->down_z[k];
-            for (int column = begin & -LANES; column < end; column += LANES) {
-                __global float *at = map + (row + i) * stride + column;
-                floats depth = across + (z + (float)column * right_z);
-                depth = most_of(depth, (floats)near);
-                depth = least_of(depth, (floats)far);
-                const ints lane = lane_numbers() + column, inside = (lane >= begin) & (lane < end);
-                const floats old = *(__global const floats *)at, offered = inside ? depth : (floats)FAR_AWAY;
-                *(__global floats *)at = least_of(offered, old);
-            }
-        }
-    }
-}
+DRAW_FACE(draw_key, int, KEEP_KEY, const int number, const int bits)
+DRAW_FACE(draw_depth, float, KEEP_DEPTH, const int unused)
 
 // The Sun's axes as rows: aside, down, and away from it.
 static Matrix sun_axes(const float3 towards)
@@ -365,7 +370,7 @@ static void draw_from_sun(
             const floats shut = hand * floats_at(body.shut + first);
             uint drawn = prepare(c, shut, sizes.shadow_side, rows, &faces);
             for (; drawn; drawn &= drawn - 1)
-                draw_depth(&faces, 31 - clz(drawn & -drawn), sizes.shadow_side, room.map, sizes.shadow_stride);
+                draw_depth(&faces, 31 - clz(drawn & -drawn), sizes.shadow_side, room.map, sizes.shadow_stride, 0);
         }
     }
 }
@@ -465,7 +470,7 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
             light_faces(body, sizes, room, light, kept, first, exponents, share);
             for (; drawn; drawn &= drawn - 1) {
                 const int k = 31 - clz(drawn & -drawn);
-                draw_key(&faces, k, sizes.fine, first + k, body.bits, room.keys, sizes.stride);
+                draw_key(&faces, k, sizes.fine, room.keys, sizes.stride, first + k, body.bits);
             }
         }
     }

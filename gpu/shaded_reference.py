@@ -1,0 +1,134 @@
+"""What ``kernels/shaded.cl`` draws, in NumPy: slow, and easy to read. The two differ only where samples meet edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpu.mesh import Mesh
+from gpu.shaded_faces import part_box
+from gpu.zbuffer import Visible, rasterise
+
+Floats = NDArray[np.float64]
+BIAS_TEXELS = 0.3  # a face this much deeper than what the Sun's view holds is still in the light
+STEEPEST = 100.0  # of a face in the Sun's view, texels of depth for each texel
+_BORDER = 1.0  # texels around the body in the Sun's view
+_CAMERA = np.array([0.0, 0.0, -1.0])  # towards it
+
+
+@dataclass(frozen=True)
+class _View:
+    """The Sun's view: ``axes`` (3, 4) from samples to texels, ``depth`` (S, S), +inf where nothing is."""
+
+    axes: Floats
+    depth: Floats
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How planes are drawn: see ``gpu.shaded.ShadedBody``."""
+
+    side: int
+    supersample: int
+    shadow_px: int
+    gloss: tuple[float, ...] = ()
+
+
+def reference_planes(
+    mesh: Mesh,
+    groups: NDArray[np.integer],
+    part_transforms: NDArray[np.floating],
+    towards_sun: NDArray[np.floating],
+    drawing: Drawing,
+) -> Floats:
+    """(N, G + 1 + L, side, side): each group in the Sun's light, the coverage, the lobes of gloss."""
+    suns = np.broadcast_to(np.asarray(towards_sun, np.float64), (len(part_transforms), 3))
+    n_planes, side = int(groups.max(initial=0)) + 2 + len(drawing.gloss), drawing.side
+    out = np.zeros((len(part_transforms), n_planes, side, side))
+    for k, (one, sun) in enumerate(zip(part_transforms.astype(np.float64), suns, strict=True)):
+        out[k] = _draw(mesh, groups, one, sun / np.linalg.norm(sun), drawing)
+    return out
+
+
+def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floats, drawing: Drawing) -> Floats:
+    """(G + 1 + L, side, side) of one pose."""
+    fine = drawing.side * drawing.supersample
+    placed = transforms * drawing.supersample
+    corners = mesh.placed(placed)[mesh.faces]
+    visible = rasterise(corners, fine, fine)
+    rows, columns = np.nonzero(visible.face >= 0)
+    face = visible.face[rows, columns]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    normal = np.where(normal[:, 2:] > 0, -normal, normal)  # the side that is seen
+    cosine = normal @ sun
+    lit = (cosine[face] > 0).astype(np.float64)
+    if drawing.shadow_px and len(face):
+        lit *= _reached(_sun_view(mesh, placed, corners, sun, drawing), visible, normal, sun)
+    n_groups = int(groups.max(initial=0)) + 1
+    planes = np.zeros((n_groups + 1 + len(drawing.gloss), fine, fine))
+    planes[groups[face], rows, columns] = lit * np.maximum(cosine[face], 0.0)
+    planes[n_groups, rows, columns] = 1.0
+    half_way = sun + _CAMERA
+    half_way /= max(float(np.linalg.norm(half_way)), 1e-12)
+    for k, exponent in enumerate(drawing.gloss):
+        planes[n_groups + 1 + k, rows, columns] = lit * np.maximum(normal @ half_way, 0.0)[face] ** exponent
+    size = (drawing.side, drawing.supersample)
+    return np.asarray(planes.reshape(len(planes), *size, *size).mean(axis=(2, 4)))
+
+
+def _sun_axes(sun: Floats) -> Floats:
+    """(3, 3) rotation whose rows point aside, down, and away from the Sun."""
+    away = -sun
+    aside = np.cross([0.0, 1.0, 0.0] if abs(away[1]) < 0.9 else [1.0, 0.0, 0.0], away)
+    aside /= np.linalg.norm(aside)
+    return np.stack([aside, np.cross(away, aside), away])
+
+
+def _sun_view(mesh: Mesh, placed: Floats, corners: Floats, sun: Floats, drawing: Drawing) -> _View:
+    """Draw the body as the Sun sees it, ``shadow_px`` texels across its diameter, fewer where parts reach beyond."""
+    rotation = _sun_axes(sun)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for part, matrix in zip(mesh.parts, placed, strict=True):
+        turned, box = rotation @ matrix, part_box(part.vertices)
+        middle = turned[:, :3] @ box[:3] + turned[:, 3]
+        reach = np.minimum(np.abs(turned[:, :3]) @ box[3:6], _scale(turned) * box[6] * 1.00001)
+        low, high = np.minimum(low, middle - reach), np.maximum(high, middle + reach)
+    across = max(2.0 * mesh.radius * _scale(placed[0]), float((high - low)[:2].max()), 1e-12)
+    zoom = drawing.shadow_px / across
+    axes = np.column_stack([zoom * rotation, _BORDER - zoom * low])
+    side = drawing.shadow_px + 4
+    texels = corners @ axes[:, :3].T + axes[:, 3]
+    return _View(axes, rasterise(texels + np.array([0.5, 0.5, 0.0]), side, side).depth)
+
+
+def _reached(view: _View, visible: Visible, normal: Floats, sun: Floats) -> Floats:
+    """(samples,) share of the Sun that reaches each sample that sees the body.
+
+    The sample's depth is compared with the map's at the four texels around, each where the plane of the sample's
+    face meets it, and the answer fades between them.
+    """
+    rows, columns = np.nonzero(visible.face >= 0)
+    face = visible.face[rows, columns]
+    points = np.column_stack([columns + 0.5, rows + 0.5, visible.depth[rows, columns]])
+    u, v, w = view.axes[:, :3] @ points.T + view.axes[:, 3:]
+    cosine = np.maximum(normal @ sun, 1e-6)
+    turned = normal @ _sun_axes(sun).T
+    slope = np.clip(turned[:, :2] / cosine[:, None], -STEEPEST, STEEPEST)[face]
+    most = len(view.depth) - 2
+    u, v = np.clip(u, 0, most), np.clip(v, 0, most)
+    i, j = v.astype(np.int64), u.astype(np.int64)
+    out = np.zeros(len(face))
+    for down in (0, 1):
+        for right in (0, 1):
+            share = (1 - np.abs(v - i - down)) * (1 - np.abs(u - j - right))
+            depth = w + (j + right - u) * slope[:, 0] + (i + down - v) * slope[:, 1]
+            out += share * (depth - BIAS_TEXELS <= view.depth[i + down, j + right])
+    return out
+
+
+def _scale(matrix: Floats) -> float:
+    """Mean stretch of a (3, 4) transform."""
+    return float(np.sqrt((matrix[:, :3] ** 2).sum() / 3.0))
