@@ -49,7 +49,10 @@ class TruthFrame:
 
 @dataclass(frozen=True)
 class Case:
-    """One pass. ``backgrounds`` and ``frames`` start anew at every call; images are PNG files."""
+    """One pass. ``backgrounds`` and ``frames`` start anew at every call; images are PNG files.
+
+    Without a background the sky is learned from the border of the first frame.
+    """
 
     name: str
     model: Model
@@ -59,6 +62,8 @@ class Case:
     frames: Callable[[], Iterator[tuple[bytes, TruthFrame]]]
     symmetries: tuple[Array, ...] | None = None  # (3, 3) each; None: the model's own twins
     facts: Mapping[str, float] = field(default_factory=dict)  # known conditions, such as ``d_over_r0``
+    towards_sun: Array | None = None  # (3,) camera axes: x right, y down, z away
+    scale_prior: tuple[float, float] | None = None  # px per model unit, and its relative error, as a range would tell
 
 
 class ModelShelf:

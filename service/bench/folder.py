@@ -31,8 +31,10 @@ class SequenceFolder:
         described = json.loads((self.path / "case.json").read_text())
         file = self._mesh(described["mesh"])
         joints = tuple(_upload_entry(joint) for joint in described.get("joints", []))
-        model = shelf.model(file.name, file.read_bytes(), joints or None)
-        names = tuple(str(joint["name"]) for joint in joints)
+        ties = described.get("ties", {})  # follower -> leader, both joints of the mesh file itself
+        upload = tuple({"name": name, "tied_to": leader, "ratio": 1} for name, leader in ties.items()) or joints
+        model = shelf.model(file.name, file.read_bytes(), upload or None)
+        names = tuple(str(joint["name"]) for joint in joints if joint["name"] not in ties)
         return Case(
             name=str(described["name"]),
             model=model,
@@ -41,6 +43,8 @@ class SequenceFolder:
             backgrounds=self._backgrounds,
             frames=lambda: self._frames(names),
             symmetries=listed_symmetries(file),
+            towards_sun=_direction(described.get("light", {}).get("towards_sun")),
+            scale_prior=_scale_prior(described.get("scale_prior")),
         )
 
     def _backgrounds(self) -> Iterator[bytes]:
@@ -83,6 +87,14 @@ def listed_symmetries(mesh: Path) -> tuple[Array, ...] | None:
     if mesh.name not in listed:
         return None
     return tuple(np.array(matrix, dtype=np.float64) for matrix in listed[mesh.name])
+
+
+def _direction(listed: Sequence[float] | None) -> Array | None:
+    return None if listed is None else np.array(listed, dtype=np.float64)
+
+
+def _scale_prior(described: Mapping[str, float] | None) -> tuple[float, float] | None:
+    return None if described is None else (float(described["px"]), float(described["relative_sigma"]))
 
 
 def _upload_entry(joint: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,15 +9,15 @@ import numpy as np
 
 from service.bench.cases import Case, Model, TruthFrame
 from service.simulate.folder import encode_png
-from service.simulate.scenario import Scenario, randomised
-from service.simulate.sequence import SimulatedPass
+from service.simulate.scenario import Scenario
+from service.simulate.sequence import RANGE_ERROR, SimulatedPass
 
 
-def random_case(name: str, model: Model, seed: int, free: tuple[str, ...], size: tuple[int, int], frames: int) -> Case:
-    """A pass drawn at random by ``seed``. ``free`` names the joints that move and are estimated."""
-    scenario = randomised(seed, size=size, frames=frames)
-    scenario = replace(scenario, motion=replace(scenario.motion, joints=free))
-    return simulated_case(name, model, scenario, free)
+def random_case(name: str, model: Model, scenario: Scenario, free: tuple[str, ...]) -> Case:
+    """A pass drawn at random. ``free`` names the joints that move and are estimated, if it lets any move."""
+    moving = free if scenario.motion.joints is None else scenario.motion.joints
+    scenario = replace(scenario, motion=replace(scenario.motion, joints=moving))
+    return simulated_case(name, model, scenario, moving)
 
 
 def simulated_case(name: str, model: Model, scenario: Scenario, free: tuple[str, ...]) -> Case:
@@ -31,6 +31,8 @@ def simulated_case(name: str, model: Model, scenario: Scenario, free: tuple[str,
         backgrounds=lambda: (encode_png(image) for image in simulated.backgrounds()),
         frames=lambda: _frames(simulated),
         facts={"d_over_r0": scenario.air.d_over_r0, "phase_deg": scenario.light.phase_deg},
+        towards_sun=scenario.light.direction(),
+        scale_prior=(simulated.told_scale, RANGE_ERROR),
     )
 
 

@@ -142,7 +142,7 @@ def _coverage(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
     figure, (panel,) = _figure(1, 1)
     panel.plot([0, 1], [0, 1], color="grey", linewidth=0.8)
     for colour, entry in enumerate(entries):
-        ratio = np.array([f.ratio for r in results if r.entry == entry for f in settled(r.frames)])
+        ratio = np.array([f.ratio for r in results if r.entry == entry for f in settled(r)])
         found = [np.mean(ratio <= factor) for factor in radius_factor(stated)]
         panel.plot(stated, found, color=_COLOURS[colour % len(_COLOURS)], label=entry)
     panel.set_xlabel("stated share")
@@ -154,7 +154,7 @@ def _coverage(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
 def _time_per_frame(results: Sequence[CaseResult], entries: Sequence[str]) -> Figure:
     figure, (panel,) = _figure(1, 1)
     for colour, entry in enumerate(entries):
-        ms = np.sort([f.ms for r in results if r.entry == entry for f in settled(r.frames)])
+        ms = np.sort([f.ms for r in results if r.entry == entry for f in settled(r)])
         panel.plot(ms, np.arange(1, len(ms) + 1) / len(ms), color=_COLOURS[colour % len(_COLOURS)], label=entry)
         first = np.median([r.frames[0].ms for r in results if r.entry == entry])
         panel.axvline(

@@ -19,13 +19,14 @@ from service.bench.scoring import FrameScore
 from service.bench.summary import Row
 
 CASE_COLUMNS = (
-    *("preset", "case", "err1", "err5", "err10", "err_med", "err_p95", "within5", "modes5", "pos_med", "scale_med"),
-    *("joint_med", "iou_med", "cover50", "cover90", "blank_ok", "twins_reported", "first_ms", "ms_med"),
+    *("preset", "case", "err1", "err5", "err10", "err_med", "err_p95", "within5", "modes5", "right_twin", "silent"),
+    *("pos_med", "scale_med", "joint_med", "iou_med", "cover50", "cover90", "blank_ok", "twins_reported"),
+    *("first_ms", "ms_med"),
 )
 OVERALL_COLUMNS = (
-    *("preset", "cases", "acquired1", "acquired10", "err_med", "err_worst", "within5", "modes5", "pos_med"),
-    *("scale_med", "joint_med", "iou_med", "cover50", "cover90", "blank_ok", "reacquired", "twins_reported"),
-    *("first_ms", "ms_med"),
+    *("preset", "cases", "acquired1", "acquired10", "err_med", "err_worst", "within5", "modes5", "right_twin"),
+    *("silent", "pos_med", "scale_med", "joint_med", "iou_med", "cover50", "cover90", "hard90", "blank_ok"),
+    *("reacquired", "twins_reported", "first_ms", "ms_med"),
 )
 _MOST_COLUMNS = 4
 _TEXT = ("preset", "case", "says")
@@ -38,12 +39,14 @@ _SHORT = {
     "err_p95": "p95",
     "within5": "in5",
     "modes5": "m5",
+    "right_twin": "right",
     "pos_med": "pos",
     "scale_med": "scale",
     "joint_med": "joint",
     "iou_med": "iou",
     "cover50": "c50",
     "cover90": "c90",
+    "hard90": "h90",
     "blank_ok": "blank",
     "twins_reported": "twins",
     "first_ms": "1st ms",

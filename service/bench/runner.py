@@ -13,6 +13,7 @@ from service.bench.brightness import SkyLevel
 from service.bench.cases import Case
 from service.bench.scoring import FrameScore, Referee
 from service.bench.silhouette import whole_pixels
+from service.bench.told import Told
 from service.inference.params import JointParams, SessionConfig
 from service.inference.state import FilterState
 from service.workers.base import BackgroundJob, FrameJob, FrameReport
@@ -20,6 +21,8 @@ from service.workers.tracker import Tracker, content_key
 
 _PNG = "image/png"
 _WARM_PARTICLES = 64
+_BORDER_SHARE = 12  # without a background: the sky of a border of this part of the image's width
+SETTLED_FRAME = 10
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,16 @@ class CaseResult:
     facts: Mapping[str, float]
     n_joints: int
     scorer: str
+    settled_frame: int = SETTLED_FRAME  # visible frames before it count for acquisition only
+
+
+@dataclass(frozen=True)
+class Terms:
+    """How passes are run. ``limit``: only so many frames of each; ``settled_frame`` as in ``CaseResult``."""
+
+    limit: int | None = None
+    settled_frame: int = SETTLED_FRAME
+    told: Told = field(default_factory=Told)
 
 
 @dataclass
@@ -90,20 +103,21 @@ def run_case(
     tracker: Tracker,
     case: Case,
     entries: Sequence[Entry],
-    limit: int | None = None,
+    terms: Terms | None = None,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> list[CaseResult]:
     """Run all entries over a case, frame by frame; no image is kept. ``progress`` hears how many frames are done."""
+    terms = terms or Terms()
     referee = Referee(case)
     backgrounds = list(case.backgrounds())
-    sessions = [_open(tracker, case, entry, backgrounds) for entry in entries]
-    sky = SkyLevel(backgrounds)
+    sessions = [_open(tracker, case, entry, backgrounds, terms.told) for entry in entries]
+    sky = SkyLevel(backgrounds) if backgrounds else None
     del backgrounds
     snr, size_px = [], []
-    for index, (body, truth) in enumerate(islice(case.frames(), limit)):
+    for index, (body, truth) in enumerate(islice(case.frames(), terms.limit)):
         real = referee.draw(truth.poses(referee.articulation)) if truth.visible else None
         if real is not None:
-            snr.append(sky.snr(body, whole_pixels(real)))
+            snr.append(sky.snr(body, whole_pixels(real)) if sky else np.nan)
             size_px.append(2 * case.model.mesh.radius * truth.scale)
         for session in sessions:
             if index == 0:
@@ -114,19 +128,27 @@ def run_case(
             session.scores.append(referee.score(index, truth, real, report.estimate, ms))
         progress(index + 1)
     facts = {**case.facts, **_medians(snr=snr, size_px=size_px)}
-    joints = referee.articulation.n_joints
-    return [CaseResult(s.entry.name, case.name, tuple(s.scores), facts, joints, s.scorer) for s in sessions]
+    joints, first = referee.articulation.n_joints, terms.settled_frame
+    return [CaseResult(s.entry.name, case.name, tuple(s.scores), facts, joints, s.scorer, first) for s in sessions]
 
 
-def _open(tracker: Tracker, case: Case, entry: Entry, backgrounds: Sequence[bytes]) -> _Session:
-    config = replace(entry.config, joints=JointParams(free=case.free))
+def _open(tracker: Tracker, case: Case, entry: Entry, backgrounds: Sequence[bytes], told: Told) -> _Session:
+    config = told.configure(replace(entry.config, joints=JointParams(free=case.free)), case)
+    learned = _learned(tracker, case, config, backgrounds)
+    key = content_key(learned)
+    return _Session(entry, case, config, key, {case.model.key: case.model.data, key: learned})
+
+
+def _learned(tracker: Tracker, case: Case, config: SessionConfig, backgrounds: Sequence[bytes]) -> bytes:
+    """The sky, of empty frames; where there is none, of the first frame's border."""
     learned: bytes | None = None
     for body in backgrounds:
         learned = tracker.learn_background(BackgroundJob(config, body, _PNG, learned)).background
     if learned is None:
-        raise ValueError(f"{case.name} has no background frame")
-    key = content_key(learned)
-    return _Session(entry, case, config, key, {case.model.key: case.model.data, key: learned})
+        first, _ = next(case.frames())
+        border = BackgroundJob(config, first, _PNG, None, border_px=case.size[0] // _BORDER_SHARE)
+        learned = tracker.learn_background(border).background
+    return learned
 
 
 def _medians(**values: Sequence[float]) -> dict[str, float]:

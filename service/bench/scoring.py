@@ -41,6 +41,7 @@ class FrameScore:
     iou: float = _NAN
     n_modes: int = 0
     twins_reported: bool | None = None  # None: the body has no mirror plane
+    raw_deg: float = _NAN  # of ``best``, no symmetry excusing anything
 
 
 class Referee:
@@ -74,6 +75,7 @@ class Referee:
             status=estimate.status,
             ms=ms,
             orientation_deg=float(angles.min()),
+            raw_deg=float(angles[0]),
             modes_deg=nearest_deg,
             ratio=nearest_deg / width_deg if width_deg else _NAN,
             position_px=position,

@@ -1,15 +1,19 @@
 """From frames to a row per pass, and from rows to a line per preset.
 
 ``err1``, ``err5``, ``err10``: orientation error (degrees) of the best pose in the first frame that shows the object
-from frame 1, 5, 10 on. The other figures are over the frames from the tenth visible one on (all, in a shorter pass):
+from frame 1, 5, 10 on. The other figures are over the visible frames after the first ten (``--from`` says how many;
+all, in a shorter pass):
 ``err_med``, ``err_p95``; ``within5``, ``modes5``: share of frames in which the best pose, the nearest mode, is off
-by less than 5 degrees; ``pos_med`` (px), ``scale_med`` (%), ``joint_med`` (degrees), ``iou_med``; ``cover50``,
+by less than 5 degrees; ``right_twin``: share in which the best pose is, and is no symmetry-equivalent of the truth;
+``silent``: share answered ``tracking`` although the best pose and the nearest mode are off by more than 15 degrees;
+``pos_med`` (px), ``scale_med`` (%), ``joint_med`` (degrees), ``iou_med``; ``cover50``,
 ``cover90``: share of frames in which the nearest mode's error lies within its own 50 and 90 % radius; ``ms_med``,
 ``ms_p95``: time per frame, from the image file to the answer. ``first_ms``: the same of the first frame that shows the
 object, the model being prepared.
 ``blank_ok``: share of the frames without the object that are answered ``no_target``; ``reacquired``: frames after
 the last of them until a mode is within 5 degrees. ``twins_reported``: share of frames that report both sides of a
-mirror-symmetric body within 5 degrees.
+mirror-symmetric body within 5 degrees. Over all passes, ``hard90``: ``cover90`` over the quarter of them with the
+greatest ``err_med``.
 """
 
 from __future__ import annotations
@@ -24,8 +28,8 @@ from service.bench.runner import CaseResult
 from service.bench.scoring import FrameScore
 from service.inference.state import Array
 
-SETTLED_FRAME = 10
 WITHIN_DEG = 5.0
+SILENT_DEG = 15.0  # off by more than this, an answer ought not to be ``tracking``
 FIRST_WITHIN_DEG = 10.0
 Row = dict[str, Any]
 
@@ -35,10 +39,10 @@ def radius_factor(share: float | Array) -> Array:
     return np.asarray(np.sqrt(chi2.ppf(share, 3) / 3))
 
 
-def settled(frames: Sequence[FrameScore]) -> list[FrameScore]:
-    """The visible frames from ``SETTLED_FRAME`` on; all of them where there are no more."""
-    seen = [frame for frame in frames if frame.visible]
-    return seen[SETTLED_FRAME:] or seen
+def settled(result: CaseResult) -> list[FrameScore]:
+    """The visible frames from number ``settled_frame`` on; all of them where there are no more."""
+    seen = [frame for frame in result.frames if frame.visible]
+    return seen[result.settled_frame :] or seen
 
 
 def coverage(frames: Iterable[FrameScore], share: float) -> float:
@@ -52,7 +56,7 @@ def case_row(result: CaseResult) -> Row:
     seen = [frame for frame in result.frames if frame.visible]
     if not seen:
         raise ValueError(f"{result.case}: no frame shows the object")
-    late = settled(result.frames)
+    late = settled(result)
     blank = [frame for frame in result.frames if not frame.visible]
     twins = [frame.twins_reported for frame in late if frame.twins_reported is not None]
     statuses = sorted({frame.status for frame in result.frames})
@@ -65,6 +69,8 @@ def case_row(result: CaseResult) -> Row:
         "err_p95": round(float(np.percentile([f.orientation_deg for f in late], 95)), 2),
         "within5": _share(f.orientation_deg < WITHIN_DEG for f in late),
         "modes5": _share(f.modes_deg < WITHIN_DEG for f in late),
+        "right_twin": _share(f.raw_deg < WITHIN_DEG for f in late),
+        "silent": _share(map(_is_silent, late)),
         "pos_med": _median(late, lambda f: f.position_px, 2),
         "scale_med": _median(late, lambda f: f.scale_percent, 2),
         "joint_med": _median(late, lambda f: f.joint, 2),
@@ -93,14 +99,25 @@ def overall_row(preset: str, rows: Sequence[Row]) -> Row:
         "acquired10": _below(mine, "err10", WITHIN_DEG),
         **{name: _over(mine, name, np.median, 2) for name in ("err_med", "err_p95")},
         "err_worst": max(row["err_med"] for row in mine),
-        **{name: _over(mine, name, np.mean, 3) for name in ("within5", "modes5")},
+        **{name: _over(mine, name, np.mean, 3) for name in ("within5", "modes5", "right_twin", "silent")},
         **{name: _over(mine, name, np.median, 2) for name in ("pos_med", "scale_med")},
         "joint_med": _over([row for row in mine if row["joints"]], "joint_med", np.median, 2),
         "iou_med": _over(mine, "iou_med", np.mean, 3),
         **{name: _over(mine, name, np.mean, 3) for name in ("cover50", "cover90", "blank_ok", "twins_reported")},
+        "hard90": _over(_hardest(mine), "cover90", np.mean, 3),
         "reacquired": _over(mine, "reacquired", np.max, 0),
         **{name: _over(mine, name, np.median, 1) for name in ("first_ms", "ms_med", "ms_p95")},
     }
+
+
+def _is_silent(frame: FrameScore) -> bool:
+    """Whether an answer far off does not say so."""
+    return frame.status == "tracking" and frame.orientation_deg > SILENT_DEG and frame.modes_deg > SILENT_DEG
+
+
+def _hardest(rows: Sequence[Row]) -> list[Row]:
+    """The quarter of the passes with the greatest median error, one at least."""
+    return sorted(rows, key=lambda row: -row["err_med"])[: max(1, len(rows) // 4)]
 
 
 def _error_from(seen: Sequence[FrameScore], number: int) -> float | None:

@@ -26,8 +26,9 @@ Passes = Annotated[int, typer.Option(min=0, help="Instead of a folder: so many s
 Seed = Annotated[int, typer.Option(min=0, help="Of the simulated passes, as in 'skypose simulate --random'.")]
 Meshes = Annotated[list[str] | None, typer.Option("--mesh", help="Mesh file of simulated passes; may be repeated.")]
 Joints = Annotated[str | None, typer.Option(help="Joints of simulated passes: all, none, or A,B.")]
-Size = Annotated[str, typer.Option(help="Of simulated images.")]
-Frames = Annotated[int, typer.Option(min=1, help="Of each simulated pass.")]
+Size = Annotated[str | None, typer.Option(help="Of simulated images; else 256x256, mixed 192x192.")]
+Frames = Annotated[int | None, typer.Option(min=1, help="Of each simulated pass; else 40, mixed 14.")]
+Materials = Annotated[str | None, typer.Option(help="Of simulated passes: painted, or mixed as real ones are.")]
 Root = Annotated[Path | None, typer.Option("--meshes", help="Where the sequences' meshes lie, if not beside them.")]
 Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE for all sessions; may be repeated.")]
 
@@ -49,19 +50,27 @@ def track(
     seed: Seed = 0,
     mesh: Meshes = None,
     joints: Joints = None,
-    size: Size = "256x256",
-    frames: Frames = 40,
+    size: Size = None,
+    frames: Frames = None,
+    materials: Materials = None,
     meshes: Root = None,
     settings: Set = None,
+    settled: Annotated[int, typer.Option("--from", min=0, help="Visible frames that count for acquisition only.")] = 10,
+    nosun: Annotated[bool, typer.Option("--nosun", help="Do not tell the sessions where the Sun stands.")] = False,
+    sun_off: Annotated[float, typer.Option(help="Tell them wrongly, by so many degrees.")] = 0.0,
+    known_range: Annotated[bool, typer.Option("--range", help="Tell them the scale as a range gives it.")] = False,
 ) -> None:
     """Run presets over passes with known truth."""
+    from service.bench.runner import Terms
+    from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
+    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range))
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())
-        selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames)
+        selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials)
         entries = entries_of(preset or ["balanced", "paper"], settings or ())
-        run_benchmark(selection, entries, limit, Output("Tracking", command_line(), json, report))
+        run_benchmark(selection, entries, terms, Output("Tracking", command_line(), json, report))
 
 
 @bench.command()
@@ -76,19 +85,22 @@ def ablate(
     seed: Seed = 0,
     mesh: Meshes = None,
     joints: Joints = None,
-    size: Size = "256x256",
-    frames: Frames = 40,
+    size: Size = None,
+    frames: Frames = None,
+    materials: Materials = None,
     meshes: Root = None,
     settings: Set = None,
 ) -> None:
     """The default preset with each of its choices switched off, one at a time."""
+    from service.bench.runner import Terms
     from service.cli.bench_run import Output, Selection, run_benchmark, variant_entries
 
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())
-        selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames)
+        selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials)
         entries = variant_entries(variant or (), settings or ())
-        run_benchmark(selection, entries, limit, Output("Each choice switched off", command_line(), json, report))
+        title = "Each choice switched off"
+        run_benchmark(selection, entries, Terms(limit), Output(title, command_line(), json, report))
 
 
 @contextmanager

@@ -20,11 +20,11 @@ from service.bench.machine import describe_machine
 from service.bench.passes import random_case
 from service.bench.plots import require_matplotlib, write_plots
 from service.bench.report import case_table, markdown_report, overall_rows, overall_table, write_frames
-from service.bench.runner import CaseResult, Entry, run_case
+from service.bench.runner import CaseResult, Entry, Terms, run_case
 from service.bench.summary import Row, case_row
 from service.cli.model_file import read_model_file
 from service.cli.options import choose_joints, parse_size
-from service.cli.simulate import pass_seed
+from service.cli.simulate import pass_seed, random_scenario
 from service.sessions.config import effective
 from service.workers.tracker import Tracker
 
@@ -43,14 +43,15 @@ class Selection:
     seed: int
     meshes: tuple[str, ...]
     joints: str | None
-    size: str
-    frames: int
+    size: str | None
+    frames: int | None
+    materials: str | None = None
 
     @property
     def title(self) -> str:
         """What is measured, in a line."""
         if self.passes:
-            return f"{self.passes} simulated passes drawn at random (seed {self.seed})"
+            return f"{self.passes} {self.materials or 'painted'} passes drawn at random (seed {self.seed})"
         return f"folder {self._folder.name}"
 
     @property
@@ -69,8 +70,9 @@ class Selection:
         free = [choose_joints(self.joints, tuple(j.name for j in m.articulation.joints)) for m in models]
         for k in range(self.passes):
             which = k % len(models)
-            seed = pass_seed(self.seed, k)
-            yield random_case(f"pass_{k:03d}", models[which], seed, free[which], parse_size(self.size), self.frames)
+            size = None if self.size is None else parse_size(self.size)
+            scenario = random_scenario(self.materials, pass_seed(self.seed, k), size, self.frames)
+            yield random_case(f"pass_{k:03d}", models[which], scenario, free[which])
 
     @property
     def _folder(self) -> Path:
@@ -120,7 +122,7 @@ def read_settings(settings: Sequence[str]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def run_benchmark(selection: Selection, entries: Sequence[Entry], limit: int | None, output: Output) -> None:
+def run_benchmark(selection: Selection, entries: Sequence[Entry], terms: Terms, output: Output) -> None:
     """Run, print, write. What was measured before an interruption is written too."""
     if output.report is not None:
         require_matplotlib()
@@ -131,7 +133,7 @@ def run_benchmark(selection: Selection, entries: Sequence[Entry], limit: int | N
             task = progress.add_task("", total=selection.count)
             for case in selection.cases(ModelShelf(tracker)):
                 hear = partial(_tell, progress, task, case.name)
-                results += run_case(tracker, case, entries, limit, hear)
+                results += run_case(tracker, case, entries, terms, hear)
                 progress.update(task, advance=1)
     finally:
         tracker.close()

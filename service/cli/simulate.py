@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
     from service.cli.model_file import ModelFile
+    from service.simulate.materials import Materials
     from service.simulate.scenario import Scenario
 
 _SEED_STRIDE = 7919  # passes of neighbouring seeds do not overlap until there are so many
@@ -24,29 +25,50 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same images.")] = 0,
     joints: Annotated[str | None, typer.Option(help="Joints that move: all, none, or A,B.")] = None,
     random: Annotated[int, typer.Option(min=0, help="So many passes drawn at random, each in a folder.")] = 0,
+    materials: Annotated[str | None, typer.Option(help="painted, or mixed: a body made as real ones are.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON about each pass.")] = False,
 ) -> None:
     """Make a simulated pass: background and frames as PNG, truth.csv, case.json and the mesh."""
     from service.cli.model_file import read_model_file
     from service.cli.options import parse_size
-    from service.simulate.scenario import PRESETS, randomised
+    from service.simulate.scenario import PRESETS
 
     models = [read_model_file(name) for name in mesh or ["demo"]]
     wanted = None if size is None else parse_size(size)
     if random:
         for k in range(random):
-            scenario = randomised(pass_seed(seed, k), size=wanted or (256, 256), frames=frames or 40)
+            scenario = random_scenario(materials, pass_seed(seed, k), wanted, frames)
             _write(models[k % len(models)], scenario, out / f"pass_{k:03d}", joints, as_json)
         return
     if preset not in PRESETS:
         raise typer.BadParameter(f"{preset!r} is none of {', '.join(PRESETS)}", param_hint="--preset")
     if len(models) != 1:
         raise typer.BadParameter("several meshes need --random", param_hint="--mesh")
-    scenario = replace(PRESETS[preset](), seed=seed)
+    scenario = replace(PRESETS[preset](), seed=seed, materials=known_materials(materials))
     scenario = replace(scenario, size=wanted or scenario.size)
     if frames is not None:
         scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
     _write(models[0], scenario, out, joints, as_json)
+
+
+def random_scenario(materials: str | None, seed: int, size: tuple[int, int] | None, frames: int | None) -> Scenario:
+    """A pass drawn at random; what it is made of decides what it is drawn from, and the usual size and length."""
+    from service.simulate.mixed_passes import randomised_mixed
+    from service.simulate.scenario import randomised
+
+    draw = {"painted": randomised, "mixed": randomised_mixed}[known_materials(materials)]
+    given: dict[str, Any] = {"size": size, "frames": frames}
+    return draw(seed, **{name: value for name, value in given.items() if value is not None})
+
+
+def known_materials(name: str | None) -> Materials:
+    """``painted`` where nothing is said. Raises ``typer.BadParameter`` for what there is not."""
+    from service.simulate.materials import SURFACES
+
+    for known in SURFACES:
+        if known == (name or "painted"):
+            return known
+    raise typer.BadParameter(f"{name!r} is none of {', '.join(SURFACES)}", param_hint="--materials")
 
 
 def pass_seed(seed: int, number: int) -> int:
@@ -63,8 +85,9 @@ def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | Non
     from service.simulate.folder import describe, write_sequence
     from service.simulate.sequence import SimulatedPass
 
-    moving = choose_joints(joints, tuple(joint.name for joint in model.articulation.joints))
-    scenario = replace(scenario, motion=replace(scenario.motion, joints=moving))
+    if scenario.motion.joints is None:
+        moving = choose_joints(joints, tuple(joint.name for joint in model.articulation.joints))
+        scenario = replace(scenario, motion=replace(scenario.motion, joints=moving))
     simulated = SimulatedPass(model.mesh, model.articulation, scenario)
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(str(folder), total=None)

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+_CLOUDS_ACROSS = 12.0
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -26,6 +29,8 @@ class Camera:
     """Electrons from the sky in red, green, blue (grey: the middle one), at the image's centre."""
     sky_gradient: float = 0.0
     """Relative change of the sky from the image's top to its bottom."""
+    cloud: float = 0.0
+    """Standard deviation of thin cloud over the sky's mean; it stands still."""
     airlight: float = 1.0
     """Share of the sky's light that comes from in front of the body: 1 in space, less for a near body."""
     read_noise_e: float = 6.0
@@ -57,6 +62,8 @@ class Sensor:
         self._sky = _sky(camera, size)
         self._star_at = rng.uniform(-0.5, 1.5, (camera.stars, 2)) * size
         self._star_light = camera.star_e * rng.uniform(0.05, 1.0, camera.stars) ** 2
+        if camera.cloud > 0:
+            self._sky = self._sky * (1.0 + camera.cloud * _cloud(size, rng))[..., None]
 
     def star_layer(self, time_s: float, exposure_s: float) -> NDArray[np.float32]:
         """(H, W) electrons of the stars at a time, as short trails, before the air and the optics."""
@@ -92,6 +99,13 @@ class Sensor:
         clipped = np.clip(counts, 0, (1 << camera.bits) - 1)
         image = clipped.astype(np.uint8 if camera.bits == 8 else np.uint16)
         return image if camera.colour else np.ascontiguousarray(image[..., 0])
+
+
+def _cloud(size: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
+    """(H, W) smooth noise of unit variance."""
+    width, height = size
+    smooth = gaussian_filter(rng.standard_normal((height, width)), max(size) / _CLOUDS_ACROSS)
+    return np.asarray((smooth - smooth.mean()) / max(float(smooth.std()), 1e-12), dtype=np.float64)
 
 
 def _sky(camera: Camera, size: tuple[int, int]) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ import numpy as np
 from service.inference.articulation import Joint
 from service.simulate.camera import Image
 from service.simulate.motion import Track
-from service.simulate.sequence import SimulatedPass
+from service.simulate.sequence import RANGE_ERROR, SimulatedPass
 
 _COAXIAL_TOLERANCE = 1e-6
 
@@ -69,7 +69,10 @@ def describe(simulated: SimulatedPass, name: str, mesh_name: str) -> dict[str, A
         "channels": scenario.camera.channels,
         "dt_s": scenario.motion.frame_interval_s,
         "note": scenario.note,
+        "materials": scenario.materials,
         "joints": [_joint_entry(simulated, joint) for joint in moving_joints(simulated)],
+        "light": {"towards_sun": [round(float(value), 6) for value in scenario.light.direction()]},
+        "scale_prior": {"px": round(simulated.told_scale, 6), "relative_sigma": RANGE_ERROR},
     }
 
 

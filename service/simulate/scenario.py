@@ -9,6 +9,7 @@ import numpy as np
 
 from service.simulate.atmosphere import Air
 from service.simulate.camera import Camera
+from service.simulate.materials import Materials
 from service.simulate.motion import Motion
 from service.simulate.render import Light
 
@@ -28,7 +29,9 @@ class Scenario:
     motion: Motion = field(default_factory=Motion)
     """How the body moves."""
     light: Light = field(default_factory=Light)
-    """The sun."""
+    """The sun and the Earth."""
+    materials: Materials = "painted"
+    """What the body is made of: ``painted``, or ``mixed`` as real spacecraft are."""
     air: Air = field(default_factory=Air)
     """Seeing."""
     camera: Camera = field(default_factory=Camera)

@@ -15,7 +15,8 @@ from service.simulate.motion import Track, plan_track
 from service.simulate.render import Picture, Renderer
 from service.simulate.scenario import Scenario
 
-_MOTION, _PAINT, _AIR, _STARS, _NOISE, _BACKGROUND_NOISE = range(6)
+_MOTION, _PAINT, _AIR, _STARS, _NOISE, _BACKGROUND_NOISE, _RANGE = range(7)
+RANGE_ERROR = 0.03  # relative, of a scale that a range, a plate scale and the mesh's unit make
 
 
 class SimulatedPass:
@@ -33,7 +34,13 @@ class SimulatedPass:
             self._rng(_MOTION),
             scenario.air.image_motion_px(),
         )
-        self._renderer = Renderer(mesh, articulation, self._rng(_PAINT))
+        self._renderer = Renderer(mesh, articulation, self._rng(_PAINT), scenario.materials)
+
+    @property
+    def told_scale(self) -> float:
+        """The first scale, px per model unit, as well as a range tells it (log-normal)."""
+        error = RANGE_ERROR * self._rng(_RANGE).standard_normal()
+        return float(np.exp(self.track.poses.log_scale[0] + error))
 
     def backgrounds(self) -> Iterator[Image]:
         """Images of empty sky, taken before the pass."""

@@ -8,10 +8,10 @@ import pytest
 
 from service.bench.folder import SequenceError, find_sequences, listed_symmetries
 from service.bench.passes import random_case, simulated_case
-from service.bench.runner import Entry, run_case
+from service.bench.runner import Entry, Terms, run_case
 from service.sessions.config import effective
 from service.simulate.folder import write_sequence
-from service.simulate.scenario import PRESETS
+from service.simulate.scenario import PRESETS, randomised
 from service.simulate.sequence import SimulatedPass
 
 
@@ -51,13 +51,13 @@ def test_a_folder_and_its_simulation_give_the_same_answers(tracker, shelf, satel
 def test_entries_do_not_disturb_each_other(tracker, satellite, scenario):
     case = simulated_case("one", satellite, scenario, ())
     heard = []
-    one, other = run_case(tracker, case, entries("one", "other"), limit=2, progress=heard.append)
+    one, other = run_case(tracker, case, entries("one", "other"), terms=Terms(limit=2), progress=heard.append)
     assert (one.entry, other.entry, heard, one.n_joints) == ("one", "other", [1, 2], 0)
     assert [f.orientation_deg for f in one.frames] == [f.orientation_deg for f in other.frames]
 
 
 def test_random_passes_differ_by_their_seed(satellite):
-    cases = [random_case("p", satellite, seed, (), (48, 48), 2) for seed in (0, 0, 1)]
+    cases = [random_case("p", satellite, randomised(seed, size=(48, 48), frames=2), ()) for seed in (0, 0, 1)]
     poses = [next(case.frames())[1].quaternion for case in cases]
     assert np.array_equal(poses[0], poses[1])
     assert not np.allclose(poses[0], poses[2])

@@ -21,8 +21,19 @@ def blank(k, status="no_target"):
     return FrameScore(k, 0.1 * k, False, status, 5.0)
 
 
-def result(frames, entry="balanced", case="a", joints=0):
-    return CaseResult(entry, case, tuple(frames), {"snr": 12.345}, joints, "numpy:reference")
+def result(frames, entry="balanced", case="a", joints=0, settled_frame=10):
+    return CaseResult(entry, case, tuple(frames), {"snr": 12.345}, joints, "numpy:reference", settled_frame)
+
+
+def test_the_hardest_quarter_is_asked_for_its_regions():
+    medians, covered = [1.0, 50.0, 2.0, 9.0, 3.0, 4.0, 5.0, 6.0, 7.0], [1, 0, 1, 1, 1, 1, 1, 1, 1]
+    rows = [
+        case_row(result((frame(k, orientation_deg=e, ratio=0.1 if c else 9.0) for k in range(12)), case=str(e)))
+        for e, c in zip(medians, covered, strict=True)
+    ]
+    (total,) = overall_rows(rows, {})
+    assert total["hard90"] == 0.5  # the mean of two of nine: 50 and 9 degrees off
+    assert overall_rows(rows[:3], {})[0]["hard90"] == 0.0  # of three, the one that is worst
 
 
 def test_early_frames_count_for_acquisition_only():
@@ -58,17 +69,23 @@ def test_regions_of_a_gaussian_cover_what_they_say():
     assert coverage([frame(0, ratio=math.nan)], 0.9) == 0.0  # a mode without a spread covers nothing
 
 
-def test_the_public_evaluator_agrees(evaluator):
+@pytest.mark.parametrize("first", [10, 5])
+def test_the_public_evaluator_agrees(evaluator, monkeypatch, first):
     rng = np.random.default_rng(1)
     frames = [
         frame(k, orientation_deg=a, modes_deg=a / 2, ratio=r, position_px=p, scale_percent=s, joint=j, iou=i, ms=m)
         for k, (a, r, p, s, j, i, m) in enumerate(rng.uniform(0, 10, (30, 7)))
     ]
+    frames = [replace(f, raw_deg=f.orientation_deg * rng.choice([1, 40])) for f in frames]
+    for k, status in ((16, "tracking"), (17, "lost"), (18, "tracking")):
+        frames[k] = replace(frames[k], status=status, orientation_deg=170.0, modes_deg=3.0 if k == 18 else 160.0)
     frames[12:15] = [blank(12), blank(13), blank(14, "lost")]
+    monkeypatch.setattr(evaluator, "FROM", first)
     theirs = evaluator.summary("a", [_evaluator_row(f) for f in frames])
-    ours = case_row(result(frames))
+    ours = case_row(result(frames, settled_frame=first))
     shared_names = set(theirs) & set(ours)
-    assert len(shared_names) >= 18
+    assert len(shared_names) >= 20
+    assert 0 < ours["silent"] < ours["right_twin"] < ours["within5"]
     assert {name: ours[name] for name in shared_names} == {name: theirs[name] for name in shared_names}
 
 
@@ -91,6 +108,12 @@ def test_the_total_takes_medians_of_errors_and_means_of_shares():
 def _evaluator_row(f):
     if not f.visible:
         return {"k": f.index, "status": f.status, "blank": True, "ms": f.ms}
-    figures = {"err": f.orientation_deg, "err_modes": f.modes_deg, "pos": f.position_px, "scale": f.scale_percent}
+    figures = {
+        "err": f.orientation_deg,
+        "err_raw": f.raw_deg,
+        "err_modes": f.modes_deg,
+        "pos": f.position_px,
+        "scale": f.scale_percent,
+    }
     rest = {"joint": f.joint, "iou": f.iou, "ratio": f.ratio, "ms": f.ms}
     return {"k": f.index, "status": f.status, **figures, **rest}

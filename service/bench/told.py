@@ -1,0 +1,57 @@
+"""What a session is told of a pass beside its frames: where the Sun stands, and how large the body is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from service.bench.cases import Case
+from service.inference.params import SessionConfig
+from service.inference.pose import exp_so3, rotation_matrices
+from service.inference.state import Array
+
+_ANY_DIRECTION = np.array([0.3, -0.5, 0.8])
+
+
+@dataclass(frozen=True)
+class Told:
+    """A choice for all passes. A pass that does not know its Sun or its scale tells nothing of it."""
+
+    sun: bool = True
+    sun_off_deg: float = 0.0  # told wrongly by so much
+    scale: bool = False
+
+    def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
+        """A session's configuration with what it is told. What was set already stays as it is."""
+        if self.sun and case.towards_sun is not None:
+            config = _with_sun(config, turned(case.towards_sun, self.sun_off_deg))
+        if self.scale and case.scale_prior is not None:
+            config = _with_scale(config, *case.scale_prior)
+        return config
+
+
+def turned(direction: Array, degrees: float) -> Array:
+    """(3,) unit vector: a direction turned about an axis across it."""
+    unit = direction / np.linalg.norm(direction)
+    across = np.cross(unit, _ANY_DIRECTION)
+    turn = exp_so3(np.deg2rad(degrees) * across / np.linalg.norm(across))
+    return np.asarray(rotation_matrices(turn) @ unit, dtype=np.float64)
+
+
+def _with_sun(config: SessionConfig, towards_sun: Array) -> SessionConfig:
+    light: Any = getattr(config, "light", None)  # a service whose sessions know no light is not told
+    if light is None or light.sun != "auto":
+        return config
+    x, y, z = (float(value) for value in towards_sun)
+    changed: dict[str, Any] = {"light": replace(light, sun=(x, y, z))}
+    return replace(config, **changed)
+
+
+def _with_scale(config: SessionConfig, px: float, sigma: float) -> SessionConfig:
+    prior: Any = config.prior
+    if getattr(prior, "scale_px", 0.0) is not None:  # no such setting, or set already
+        return config
+    changed: dict[str, Any] = {"scale_px": px, "scale_sigma": sigma}
+    return replace(config, prior=replace(prior, **changed))

@@ -1,0 +1,81 @@
+"""What sessions are told of a pass, and what a folder says of it: Sun, range, ties, a sky without empty frames."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.bench.folder import find_sequences
+from service.bench.passes import random_case
+from service.bench.runner import Entry, run_case
+from service.bench.told import Told, turned
+from service.sessions.config import effective
+from service.simulate.folder import write_sequence
+from service.simulate.glb_writer import Hinge, SolidNode, write_glb
+from service.simulate.mixed_passes import randomised_mixed
+from service.simulate.primitives import box
+from service.simulate.scenario import PRESETS
+from service.simulate.sequence import SimulatedPass
+
+
+def few_particles():
+    return [Entry("paper", effective({"filter": {"preset": "paper", "particles": 40}}))]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 5.0, 15.0])
+def test_a_wrong_sun_is_wrong_as_the_public_evaluator_makes_it(evaluator, degrees):
+    sun = np.array([0.46, 0.08, -0.88])
+    np.testing.assert_allclose(turned(sun, degrees), evaluator.turned(sun, degrees), atol=1e-12)
+
+
+def test_a_folder_tells_the_sun_and_the_scale_that_the_simulator_wrote(satellite, shelf, tmp_path):
+    scenario = replace(randomised_mixed(3, size=(48, 48), frames=1), background_frames=1)
+    simulated = SimulatedPass(satellite.mesh, satellite.articulation, scenario)
+    write_sequence(simulated, tmp_path / "one", "demo.glb", satellite.data)
+    case = find_sequences(tmp_path)[0].case(shelf)
+    np.testing.assert_allclose(case.towards_sun, scenario.light.direction(), atol=1e-6)
+    assert case.scale_prior == (pytest.approx(simulated.told_scale, abs=1e-6), 0.03)
+    streamed = random_case("one", satellite, scenario, ("wing",))
+    np.testing.assert_array_equal(streamed.towards_sun, scenario.light.direction())
+    assert streamed.scale_prior == (simulated.told_scale, 0.03)
+
+
+def test_a_pass_that_knows_nothing_tells_nothing(case_of, satellite):
+    config = effective({})
+    assert Told(scale=True).configure(config, case_of(satellite)) == config
+
+
+def test_ties_of_the_file_are_uploaded_and_followers_are_not_estimated(shelf, tmp_path):
+    data = write_glb(
+        "pair",
+        [
+            SolidNode("bus", box((1.0, 1.2, 0.8))),
+            SolidNode("left", box((2.0, 0.8, 0.1)), (-2.0, 0.0, 0.0), Hinge("alpha", "x")),
+            SolidNode("right", box((2.0, 0.8, 0.1)), (2.0, 0.0, 0.0), Hinge("beta", "x")),
+        ],
+    )
+    model = shelf.model("pair.glb", data)
+    base = PRESETS["panel"]()
+    motion = replace(base.motion, frames=2, joint_start_deg=30.0)
+    scenario = replace(base, size=(64, 64), motion=motion, background_frames=1)
+    write_sequence(SimulatedPass(model.mesh, model.articulation, scenario), tmp_path / "one", "pair.glb", data)
+    file = tmp_path / "one" / "case.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "ties": {"beta": "alpha"}}))
+    case = find_sequences(tmp_path)[0].case(shelf)
+    assert case.free == ("alpha",)
+    assert [joint.name for joint in case.model.articulation.joints] == ["alpha"]
+    (_, truth), *_ = case.frames()
+    assert truth.joints == {"alpha": 30.0}
+
+
+def test_without_empty_frames_the_sky_is_learned_from_the_first_frames_border(tracker, satellite, shelf, tmp_path):
+    scenario = replace(PRESETS["night"](), size=(64, 64), background_frames=0)
+    scenario = replace(scenario, motion=replace(scenario.motion, frames=2, extent=0.5))
+    write_sequence(
+        SimulatedPass(satellite.mesh, satellite.articulation, scenario), tmp_path, "demo.glb", satellite.data
+    )
+    (tmp_path / "background").rmdir()
+    (result,) = run_case(tracker, find_sequences(tmp_path)[0].case(shelf), few_particles())
+    assert [frame.index for frame in result.frames] == [0, 1]
+    assert "snr" not in result.facts
