@@ -16,6 +16,8 @@ from service.bench.silhouette import whole_pixels
 from service.bench.told import Told
 from service.inference.params import JointParams, SessionConfig
 from service.inference.state import FilterState
+from service.sessions.lighting import light_at
+from service.sessions.ranging import scale_bounds
 from service.workers.base import BackgroundJob, FrameJob, FrameReport
 from service.workers.tracker import Tracker, content_key
 
@@ -96,6 +98,8 @@ class _Session:
             media_type=_PNG,
             blobs=self.blobs,
             twins=model.twins if self.entry.twins else (),
+            scale_px=scale_bounds(config.prior, None),
+            light=light_at(config, {}).light,
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -25,10 +24,12 @@ class Told:
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
         """A session's configuration with what it is told. What was set already stays as it is."""
-        if self.sun and case.towards_sun is not None:
-            config = _with_sun(config, turned(case.towards_sun, self.sun_off_deg))
-        if self.scale and case.scale_prior is not None:
-            config = _with_scale(config, *case.scale_prior)
+        if self.sun and case.towards_sun is not None and config.light.sun == "auto":
+            x, y, z = turned(case.towards_sun, self.sun_off_deg).tolist()
+            config = replace(config, light=replace(config.light, sun=(x, y, z)))
+        if self.scale and case.scale_prior is not None and config.prior.scale_px is None:
+            px, sigma = case.scale_prior
+            config = replace(config, prior=replace(config.prior, scale_px=px, scale_sigma=sigma))
         return config
 
 
@@ -38,20 +39,3 @@ def turned(direction: Array, degrees: float) -> Array:
     across = np.cross(unit, _ANY_DIRECTION)
     turn = exp_so3(np.deg2rad(degrees) * across / np.linalg.norm(across))
     return np.asarray(rotation_matrices(turn) @ unit, dtype=np.float64)
-
-
-def _with_sun(config: SessionConfig, towards_sun: Array) -> SessionConfig:
-    light: Any = getattr(config, "light", None)  # a service whose sessions know no light is not told
-    if light is None or light.sun != "auto":
-        return config
-    x, y, z = (float(value) for value in towards_sun)
-    changed: dict[str, Any] = {"light": replace(light, sun=(x, y, z))}
-    return replace(config, **changed)
-
-
-def _with_scale(config: SessionConfig, px: float, sigma: float) -> SessionConfig:
-    prior: Any = config.prior
-    if getattr(prior, "scale_px", 0.0) is not None:  # no such setting, or set already
-        return config
-    changed: dict[str, Any] = {"scale_px": px, "scale_sigma": sigma}
-    return replace(config, prior=replace(prior, **changed))

@@ -2,13 +2,14 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from service.bench.folder import find_sequences
 from service.bench.passes import random_case
-from service.bench.runner import Entry, run_case
+from service.bench.runner import Entry, Terms, run_case
 from service.bench.told import Told, turned
 from service.sessions.config import effective
 from service.simulate.folder import write_sequence
@@ -39,6 +40,40 @@ def test_a_folder_tells_the_sun_and_the_scale_that_the_simulator_wrote(satellite
     streamed = random_case("one", satellite, scenario, ("wing",))
     np.testing.assert_array_equal(streamed.towards_sun, scenario.light.direction())
     assert streamed.scale_prior == (simulated.told_scale, 0.03)
+
+
+def test_sessions_are_told_what_is_known_unless_they_were_told_otherwise(case_of, satellite):
+    case = replace(case_of(satellite), towards_sun=np.array([0.6, 0.0, -0.8]), scale_prior=(5.0, 0.03))
+    config = effective({})
+    assert Told().configure(config, case).light.sun == pytest.approx((0.6, 0.0, -0.8))
+    assert Told().configure(config, case).prior.scale_px is None
+    assert Told(sun=False).configure(config, case) == config
+    ranged = Told(sun=False, scale=True).configure(config, case).prior
+    assert (ranged.scale_px, ranged.scale_sigma) == (5.0, 0.03)
+    off = np.array(Told(sun_off_deg=15.0).configure(config, case).light.sun)
+    assert np.rad2deg(np.arccos(off @ case.towards_sun)) == pytest.approx(15.0)
+    said = effective({"light": {"sun": "unknown"}, "prior": {"scale_px": 4.0}})
+    assert Told(scale=True).configure(said, case) == said
+
+
+def test_every_frame_brings_what_its_session_was_told(case_of, satellite, monkeypatch, truth):
+    jobs = []
+
+    class Listener:
+        def learn_background(self, job):
+            return SimpleNamespace(background=b"sky")
+
+        def track(self, job):
+            jobs.append(job)
+            raise InterruptedError
+
+    frames = lambda: iter([(b"", replace(truth, visible=False))])  # noqa: E731
+    case = replace(case_of(satellite), frames=frames, towards_sun=np.array([0.0, 0.6, -0.8]), scale_prior=(5.0, 0.1))
+    with pytest.raises(InterruptedError):
+        run_case(Listener(), case, few_particles(), Terms(told=Told(scale=True)))
+    assert jobs[0].light.towards_sun == pytest.approx((0.0, 0.6, -0.8))
+    low, high = jobs[0].scale_px
+    assert low < 5.0 < high
 
 
 def test_a_pass_that_knows_nothing_tells_nothing(case_of, satellite):
