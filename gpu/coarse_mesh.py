@@ -1,0 +1,120 @@
+"""A body with no more faces than a picture of some size can show; its silhouette and its groups stay.
+
+Each group of each part is simplified by itself: first by collapsing edges as long as no face moves by more than a
+fraction of a pixel (quadric error), then by joining vertices that lie within one cell of a grid of that size, which
+turns thin boxes to sheets and takes away what is smaller than a sample. A part whose silhouette suffers is left finer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import fast_simplification
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gpu.mesh import Mesh, Part
+from gpu.silhouettes import silhouettes
+from gpu.surface_groups import merged_pieces
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Piece = tuple[Floats, Indices]  # vertices (V, 3), faces (F, 3)
+
+ERROR_PX = 0.2  # by which a face may move, and the size of a cell
+LARGEST_CHANGE = 0.03  # of a part's area in pictures: what a coarse one may cover too much or too little
+VIEWS = 16
+_SAMPLES = 2  # for each pixel, along one axis, where silhouettes are compared
+_FEWEST = 64  # faces of a part from which on it is worth the work
+_THRESHOLD = float(np.finfo(np.float64).eps)  # of the square error, in the library's units, in its lossless mode
+
+
+def coarse_mesh(mesh: Mesh, groups: NDArray[np.integer], radius_px: float) -> tuple[Mesh, NDArray[np.int32]]:
+    """The mesh for pictures in which its radius is ``radius_px``, and the groups (F',) of its faces.
+
+    ``groups`` (F,) are those of the mesh's faces. Parts keep their order, names and places.
+    """
+    pixel = mesh.radius / radius_px
+    place, _ = merged_pieces(mesh)
+    vertices = np.empty((int(place.max()) + 1, 3))
+    vertices[place] = np.vstack([part.vertices for part in mesh.parts])
+    faces = place[mesh.faces]
+    parts, kept = [], []
+    for number, part in enumerate(mesh.parts):
+        own = mesh.part_of == number
+        found = _coarse_part(vertices, faces[own], groups[own], pixel) if own.sum() >= _FEWEST else None
+        simpler, group = found if found is not None else ((part.vertices, part.faces.astype(np.int64)), groups[own])
+        parts.append(Part(part.name, simpler[0], simpler[1].astype(np.int32)))
+        kept.append(group)
+    coarse = Mesh(tuple(parts), mesh.centre, mesh.size, mesh.radius, mesh.watertight, mesh.warnings)
+    return coarse, np.concatenate(kept).astype(np.int32)
+
+
+def _coarse_part(
+    vertices: Floats, faces: Indices, groups: NDArray[np.integer], pixel: float
+) -> tuple[Piece, NDArray[np.integer]] | None:
+    """The coarsest of two that keeps the part's silhouette, and its faces' groups; None where neither does."""
+    whole = _compact(vertices, faces)
+    middle = 0.5 * (whole[0].min(axis=0) + whole[0].max(axis=0))
+    radius = float(np.linalg.norm(whole[0] - middle, axis=1).max())
+    side = int(np.ceil(2.0 * _SAMPLES * radius / pixel)) + 2
+    turns = Rotation.random(VIEWS, random_state=np.random.default_rng(0)).as_matrix() * (_SAMPLES / pixel)
+
+    def seen(piece: Piece) -> NDArray[np.bool_]:
+        return silhouettes((piece[0] - middle) @ turns.transpose(0, 2, 1) + 0.5 * side, piece[1], side)
+
+    wanted = seen(whole)
+    flat = _in_groups(vertices, faces, groups, lambda piece: _collapsed(piece, ERROR_PX * pixel))
+    joined = _in_groups(*flat[0], flat[1], lambda piece: _clustered(piece, ERROR_PX * pixel))
+    for piece, group in (joined, flat):
+        if len(piece[1]) and np.count_nonzero(seen(piece) != wanted) <= LARGEST_CHANGE * np.count_nonzero(wanted):
+            return piece, group
+    return None
+
+
+def _in_groups(
+    vertices: Floats, faces: Indices, groups: NDArray[np.integer], change: Callable[[Piece], Piece]
+) -> tuple[Piece, NDArray[np.integer]]:
+    """Each group's faces changed by themselves."""
+    points, corners, numbers, count = [], [], [], 0
+    for group in np.unique(groups):
+        own_vertices, own_faces = change(_compact(vertices, faces[groups == group]))
+        points.append(own_vertices)
+        corners.append(own_faces + count)
+        numbers.append(np.full(len(own_faces), group))
+        count += len(own_vertices)
+    return (np.vstack(points), np.vstack(corners)), np.concatenate(numbers)
+
+
+def _collapsed(piece: Piece, error: float) -> Piece:
+    """Edges collapsed while the sum of squared distances to the planes of all merged faces is below error^2."""
+    zoom = _THRESHOLD**0.5 / error
+    points, faces = fast_simplification.simplify(
+        piece[0] * zoom, piece[1].astype(np.int32), lossless=True, preserve_border=True
+    )
+    if len(faces) == 0:
+        return piece
+    return np.asarray(points, np.float64) / zoom, np.asarray(faces, np.int64)
+
+
+def _clustered(piece: Piece, cell: float) -> Piece:
+    """Vertices in one cell of a grid become the one of them that is nearest to their mean; faces left double go."""
+    vertices, faces = piece
+    _, owner = np.unique(np.round(vertices / cell).astype(np.int64), axis=0, return_inverse=True)
+    owner = owner.reshape(-1)
+    count = np.bincount(owner)
+    mean = np.stack([np.bincount(owner, vertices[:, k]) / count for k in range(3)], axis=1)
+    order = np.lexsort((((vertices - mean[owner]) ** 2).sum(axis=1), owner))
+    nearest = order[np.diff(owner[order], prepend=-1) != 0]
+    faces = nearest[owner[faces]]
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[proper]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return _compact(vertices, faces[np.sort(first)])
+
+
+def _compact(vertices: Floats, faces: Indices) -> Piece:
+    """Only the vertices in use."""
+    used, flat = np.unique(faces, return_inverse=True)
+    return vertices[used], flat.reshape(-1, 3)
