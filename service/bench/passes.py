@@ -31,7 +31,7 @@ def simulated_case(name: str, model: Model, scenario: Scenario, free: tuple[str,
         backgrounds=lambda: (encode_png(image) for image in simulated.backgrounds()),
         frames=lambda: _frames(simulated),
         facts={"d_over_r0": scenario.air.d_over_r0, "phase_deg": scenario.light.phase_deg},
-        towards_sun=scenario.light.direction(),
+        towards_sun=simulated.light(0).direction(),
         scale_prior=(simulated.told_scale, RANGE_ERROR),
     )
 

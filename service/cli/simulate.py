@@ -26,25 +26,31 @@ def simulate(
     joints: Annotated[str | None, typer.Option(help="Joints that move: all, none, or A,B.")] = None,
     random: Annotated[int, typer.Option(min=0, help="So many passes drawn at random, each in a folder.")] = 0,
     materials: Annotated[str | None, typer.Option(help="painted, or mixed: a body made as real ones are.")] = None,
+    site: Annotated[str | None, typer.Option(help="LAT,LON,HEIGHT: a real pass over it (degrees, metres).")] = None,
+    tle: Annotated[Path | None, typer.Option(help="File with the elements of the satellite of that pass.")] = None,
+    time: Annotated[str | None, typer.Option(help="When it begins: ISO 8601, UTC unless it says otherwise.")] = None,
+    up_angle: Annotated[float, typer.Option(help="From celestial north to the image's up, degrees.")] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON about each pass.")] = False,
 ) -> None:
     """Make a simulated pass: background and frames as PNG, truth.csv, case.json and the mesh."""
     from service.cli.model_file import read_model_file
     from service.cli.options import parse_size
+    from service.cli.overflight import read_overflight
     from service.simulate.scenario import PRESETS
 
+    over = read_overflight(site, tle, time, up_angle)
     models = [read_model_file(name) for name in mesh or ["demo"]]
     wanted = None if size is None else parse_size(size)
     if random:
         for k in range(random):
-            scenario = random_scenario(materials, pass_seed(seed, k), wanted, frames)
+            scenario = replace(random_scenario(materials, pass_seed(seed, k), wanted, frames), overflight=over)
             _write(models[k % len(models)], scenario, out / f"pass_{k:03d}", joints, as_json)
         return
     if preset not in PRESETS:
         raise typer.BadParameter(f"{preset!r} is none of {', '.join(PRESETS)}", param_hint="--preset")
     if len(models) != 1:
         raise typer.BadParameter("several meshes need --random", param_hint="--mesh")
-    scenario = replace(PRESETS[preset](), seed=seed, materials=known_materials(materials))
+    scenario = replace(PRESETS[preset](), seed=seed, materials=known_materials(materials), overflight=over)
     scenario = replace(scenario, size=wanted or scenario.size)
     if frames is not None:
         scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
@@ -82,13 +88,18 @@ def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | Non
     from rich.progress import Progress
 
     from service.cli.options import choose_joints
+    from service.errors import ConfigError, InputError
     from service.simulate.folder import describe, write_sequence
+    from service.simulate.overflight import OverflightError
     from service.simulate.sequence import SimulatedPass
 
     if scenario.motion.joints is None:
         moving = choose_joints(joints, tuple(joint.name for joint in model.articulation.joints))
         scenario = replace(scenario, motion=replace(scenario.motion, joints=moving))
-    simulated = SimulatedPass(model.mesh, model.articulation, scenario)
+    try:
+        simulated = SimulatedPass(model.mesh, model.articulation, scenario)
+    except (OverflightError, InputError, ConfigError) as error:
+        raise typer.BadParameter(str(error)) from error
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(str(folder), total=None)
         write_sequence(

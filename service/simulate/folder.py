@@ -18,9 +18,13 @@ import numpy as np
 from service.inference.articulation import Joint
 from service.simulate.camera import Image
 from service.simulate.motion import Track
+from service.simulate.overflight import utc_text
 from service.simulate.sequence import RANGE_ERROR, SimulatedPass
 
+POINTING = "pointing.csv"
 _COAXIAL_TOLERANCE = 1e-6
+_UNIT_M = 1.0
+_ARCSECOND = np.pi / 648_000
 
 
 def encode_png(image: Image) -> bytes:
@@ -45,6 +49,8 @@ def write_sequence(
     case = json.dumps(describe(simulated, folder.name, mesh_name), indent=1)
     (folder / "case.json").write_text(case + "\n")
     write_truth(simulated, folder / "truth.csv")
+    if simulated.looks:
+        write_pointing(simulated, folder / POINTING)
     images = [("background", simulated.backgrounds()), ("frames", simulated.frames())]
     done = 0
     for name, source in images:
@@ -71,8 +77,9 @@ def describe(simulated: SimulatedPass, name: str, mesh_name: str) -> dict[str, A
         "note": scenario.note,
         "materials": scenario.materials,
         "joints": [_joint_entry(simulated, joint) for joint in moving_joints(simulated)],
-        "light": {"towards_sun": [round(float(value), 6) for value in scenario.light.direction()]},
+        "light": {"towards_sun": [round(float(value), 6) for value in simulated.light(0).direction()]},
         "scale_prior": {"px": round(simulated.told_scale, 6), "relative_sigma": RANGE_ERROR},
+        **_overflight_entries(simulated),
     }
 
 
@@ -103,6 +110,40 @@ def write_truth(simulated: SimulatedPass, path: Path) -> None:
             joints = [round(float(pose.joints[k, i]), 4) for _, i in columns]
             seen = int(track.visible[k])
             out.writerow([k, round(float(time_s), 6), x, y, z, w, *place, scale, seen, *joints])
+
+
+def write_pointing(simulated: SimulatedPass, path: Path) -> None:
+    """Where the camera points and what lies there, one line per frame: coordinates of J2000, without refraction."""
+    with path.open("w", newline="") as file:
+        out = csv.writer(file)
+        sky = ["ra_deg", "dec_deg", "position_angle_deg"]
+        out.writerow(["frame", "time", *sky, "range_km", "elevation_deg", "sunlit"])
+        up_deg = simulated.scenario.overflight.up_angle_deg if simulated.scenario.overflight else 0.0
+        for k, look in enumerate(simulated.looks):
+            angles = [round(look.ra_deg, 7), round(look.dec_deg, 7), up_deg]
+            there = [round(look.sighting.range_km, 4), round(look.sighting.elevation_deg, 4), round(look.sunlit, 6)]
+            out.writerow([k, utc_text(look.moment), *angles, *there])
+
+
+def _overflight_entries(simulated: SimulatedPass) -> dict[str, Any]:
+    """What ``case.json`` tells of a real pass. The mesh's unit is taken for a metre."""
+    over = simulated.scenario.overflight
+    if over is None:
+        return {}
+    first_km = simulated.looks[0].sighting.range_km
+    radians = _UNIT_M / (first_km * 1e3 * float(np.exp(simulated.track.poses.log_scale[0])))
+    return {
+        "site": {
+            "latitude_deg": over.site.latitude_deg,
+            "longitude_deg": over.site.longitude_deg,
+            "height_m": over.site.height_m,
+        },
+        "tle": over.elements,
+        "time": utc_text(over.start),
+        "pointing": POINTING,
+        "camera": {"up_angle_deg": over.up_angle_deg, "pixel_scale_arcsec": round(radians / _ARCSECOND, 8)},
+        "unit_m": _UNIT_M,
+    }
 
 
 def _joint_entry(simulated: SimulatedPass, joint: Joint) -> dict[str, Any]:

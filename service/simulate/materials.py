@@ -14,32 +14,30 @@ from gpu.mesh import Mesh
 Floats = NDArray[np.float64]
 Materials = Literal["painted", "mixed"]
 
+_GLASS = 0.04  # what glass, varnish and binder reflect
 _CHANCES = (0.65, 0.18, 0.17)  # of paint, panel, metal
 PIECES_OF_THEIR_OWN = 10  # of each part, the largest; the other pieces have one paint together
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Reflection per face, (F,) each; 1 is a white facet that faces the sun. Without ``gloss`` the light's own is used.
+    """Reflection per face, (F,) each; 1 is a white facet that faces the sun.
 
-    ``gloss`` is the peak of a Blinn-Phong lobe of exponent ``sharpness``.
+    Without a ``roughness`` the gloss is the light's own, alike on all faces.
     """
 
     diffuse: Floats
-    gloss: Floats | None = None
-    sharpness: Floats | None = None
+    mirror: Floats | None = None
+    """Share of the light that comes back in the glossy lobe (Fresnel reflectance at its middle)."""
+    roughness: Floats | None = None
+    """Of the micro-facets that make the lobe."""
 
 
 @dataclass(frozen=True)
 class _Material:
     albedo: float
-    reflectance: float  # of the glossy lobe at its middle
-    sharpness: float
-
-    @property
-    def gloss(self) -> float:
-        """Peak of a lobe that returns ``reflectance`` of the light it gets (normalised Blinn-Phong)."""
-        return self.reflectance * (self.sharpness + 8.0) / 8.0
+    mirror: float
+    roughness: float
 
 
 def painted(mesh: Mesh, rng: np.random.Generator) -> Surface:
@@ -60,7 +58,7 @@ def mixed(mesh: Mesh, rng: np.random.Generator) -> Surface:
         for piece in np.argsort(-size, kind="stable")[:PIECES_OF_THEIR_OWN]:
             material[faces[of_face == piece]] = len(drawn)
             drawn.append(_draw_any(rng))
-    columns = np.array([(m.albedo, m.gloss, m.sharpness) for m in drawn])[material]
+    columns = np.array([(m.albedo, m.mirror, m.roughness) for m in drawn])[material]
     return Surface(columns[:, 0], columns[:, 1], columns[:, 2])
 
 
@@ -73,18 +71,17 @@ def _draw_any(rng: np.random.Generator) -> _Material:
 
 
 def _draw_paint(rng: np.random.Generator) -> _Material:
-    return _Material(rng.uniform(0.15, 0.8), 0.04, rng.uniform(8.0, 40.0))
+    return _Material(rng.uniform(0.15, 0.8), _GLASS, rng.uniform(0.25, 0.6))
 
 
 def _draw_panel(rng: np.random.Generator) -> _Material:
     """Solar cells under glass."""
-    return _Material(rng.uniform(0.05, 0.14), 0.04, rng.uniform(30.0, 120.0))
+    return _Material(rng.uniform(0.05, 0.14), _GLASS, rng.uniform(0.15, 0.3))
 
 
 def _draw_metal(rng: np.random.Generator) -> _Material:
-    """Bare or coated metal, foil: hardly any diffuse light, a lobe that a roughness of 0.2 to 0.5 makes."""
-    exponent = 2.0 / rng.uniform(0.2, 0.5) ** 2 - 2.0
-    return _Material(rng.uniform(0.02, 0.08), rng.uniform(0.4, 0.8), exponent)
+    """Bare or coated metal, foil: hardly any diffuse light, a strong lobe."""
+    return _Material(rng.uniform(0.02, 0.08), rng.uniform(0.5, 0.9), rng.uniform(0.2, 0.5))
 
 
 def _areas(mesh: Mesh) -> Floats:

@@ -19,7 +19,7 @@ from service.simulate.materials import SURFACES, Materials, Surface
 _SHADOW_SIZE_PX: dict[Materials, int] = {"painted": 512, "mixed": 1024}
 _OVERSAMPLE: dict[Materials, int] = {"painted": 3, "mixed": 4}
 _EARTH_WRAP = 0.5  # the Earth fills much of a low orbit's sky: it lights what is turned away from its middle, too
-_EARTH_SHARPNESS = 6.0  # what such a wide light leaves of a glossy lobe
+_EARTH_ROUGHNESS = 0.7  # such a wide light makes a wide lobe of any
 _SHADOW_BIAS_PX = 1.5
 _LEAST_COSINE = 0.15
 
@@ -93,7 +93,7 @@ class Renderer:
 def _shade(
     corners: Floats, visible: Visible, light: Light, lit: NDArray[np.bool_], surface: Surface
 ) -> NDArray[np.float32]:
-    """Lambert and Blinn-Phong per facet; the side that is seen is the side that is lit."""
+    """Diffuse light (Lambert) and gloss per facet; the side that is seen is the side that is lit."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     normal = np.where(normal[:, 2:] > 0, -normal, normal)
@@ -112,24 +112,33 @@ def _sunlight(normal: Floats, light: Light, surface: Surface) -> Floats:
     """(F,) light that faces of these normals (F, 3) send to the camera where no shadow falls."""
     sun = light.direction()
     towards_sun = np.maximum(normal @ sun, 0.0)
-    aligned = np.maximum(normal @ _half_way(sun), 0.0)
-    if surface.gloss is None or surface.sharpness is None:
-        gloss = light.specular * aligned**light.shininess * (towards_sun > 0)
+    if surface.mirror is None or surface.roughness is None:
+        gloss = light.specular * np.maximum(normal @ _half_way(sun), 0.0) ** light.shininess * (towards_sun > 0)
         direct = surface.diffuse * towards_sun + gloss
     else:
-        direct = (surface.diffuse + surface.gloss * aligned**surface.sharpness) * towards_sun
+        direct = surface.diffuse * towards_sun + _gloss(normal, sun, surface.mirror, surface.roughness)
     return np.asarray(direct if light.sun == 1.0 else light.sun * direct)
 
 
 def _earthlight(normal: Floats, direction: Floats, surface: Surface) -> Floats:
     """(F,) the same of the Earth in a direction (3,), for a strength of 1."""
     earth = direction / np.linalg.norm(direction)
-    facing = np.maximum((normal @ earth + _EARTH_WRAP) / (1.0 + _EARTH_WRAP), 0.0)
-    if surface.gloss is None or surface.sharpness is None:
-        return np.asarray(surface.diffuse * facing)
-    blunt = np.minimum(surface.sharpness, _EARTH_SHARPNESS)
-    gloss = surface.gloss * (blunt + 8.0) / (surface.sharpness + 8.0)  # the same light, spread wider
-    return np.asarray((surface.diffuse + gloss * np.maximum(normal @ _half_way(earth), 0.0) ** blunt) * facing)
+    even = surface.diffuse * np.maximum((normal @ earth + _EARTH_WRAP) / (1.0 + _EARTH_WRAP), 0.0)
+    if surface.mirror is None or surface.roughness is None:
+        return np.asarray(even)
+    return np.asarray(even + _gloss(normal, earth, surface.mirror, np.maximum(surface.roughness, _EARTH_ROUGHNESS)))
+
+
+def _gloss(normal: Floats, direction: Floats, mirror: Floats, roughness: Floats) -> Floats:
+    """(F,) lobe of micro-facets in a light from ``direction`` (3,): D F G / (4 n.v), as a share of a white facet's.
+
+    D: B. Walter et al., *Microfacet models for refraction through rough surfaces* (2007), the GGX distribution;
+    G: n.l n.v / max(n.l, n.v), L. and A. Neumann.
+    """
+    lit, seen = np.maximum(normal @ direction, 0.0), np.maximum(-normal[:, 2], 0.0)
+    aligned, square = np.maximum(normal @ _half_way(direction), 0.0), roughness**2
+    facets = square / (aligned**2 * (square - 1.0) + 1.0) ** 2  # pi D
+    return np.asarray(0.25 * mirror * facets * lit / np.maximum(np.maximum(lit, seen), 1e-12))
 
 
 def _half_way(direction: Floats) -> Floats:

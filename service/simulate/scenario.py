@@ -11,6 +11,7 @@ from service.simulate.atmosphere import Air
 from service.simulate.camera import Camera
 from service.simulate.materials import Materials
 from service.simulate.motion import Motion
+from service.simulate.overflight import Overflight
 from service.simulate.render import Light
 
 
@@ -32,6 +33,8 @@ class Scenario:
     """The sun and the Earth."""
     materials: Materials = "painted"
     """What the body is made of: ``painted``, or ``mixed`` as real spacecraft are."""
+    overflight: Overflight | None = None
+    """A real satellite over a real place: then Sun, Earth, scale and the camera's turning are theirs."""
     air: Air = field(default_factory=Air)
     """Seeing."""
     camera: Camera = field(default_factory=Camera)

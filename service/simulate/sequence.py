@@ -12,7 +12,8 @@ from service.inference.articulation import Articulation
 from service.simulate.atmosphere import Atmosphere
 from service.simulate.camera import Image, Sensor
 from service.simulate.motion import Track, plan_track
-from service.simulate.render import Picture, Renderer
+from service.simulate.overflight import follow, seen
+from service.simulate.render import Light, Picture, Renderer
 from service.simulate.scenario import Scenario
 
 _MOTION, _PAINT, _AIR, _STARS, _NOISE, _BACKGROUND_NOISE, _RANGE = range(7)
@@ -26,7 +27,7 @@ class SimulatedPass:
         self.scenario = scenario
         self.mesh = mesh
         self.articulation = articulation
-        self.track: Track = plan_track(
+        track = plan_track(
             scenario.motion,
             articulation,
             mesh.radius,
@@ -34,6 +35,9 @@ class SimulatedPass:
             self._rng(_MOTION),
             scenario.air.image_motion_px(),
         )
+        over = scenario.overflight
+        self.looks = [] if over is None else follow(over, track.time_s.tolist(), scenario.light)
+        self.track: Track = seen(track, self.looks) if self.looks else track
         self._renderer = Renderer(mesh, articulation, self._rng(_PAINT), scenario.materials)
 
     @property
@@ -59,7 +63,11 @@ class SimulatedPass:
         if not self.track.visible[index]:
             return self._empty()
         pose = self.track.poses[index : index + 1]
-        return self._renderer.render(pose, self.scenario.size, self.scenario.light)
+        return self._renderer.render(pose, self.scenario.size, self.light(index))
+
+    def light(self, index: int) -> Light:
+        """The light of a frame."""
+        return self.looks[index].light if self.looks else self.scenario.light
 
     def _pictures(self) -> Iterator[Picture]:
         for index in range(len(self.track.time_s)):
