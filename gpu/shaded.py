@@ -17,6 +17,7 @@ from gpu.shaded_reference import BIAS_TEXELS, STEEPEST
 
 Numbers = NDArray[np.float32]
 EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
+FILES = ("lanes.cl", "shaded_faces.cl", "shaded.cl")
 _GPU_ITEMS = 1024
 _GPU_BYTES = 1 << 29
 
@@ -42,9 +43,8 @@ class ShadedBody:
         with device_errors(self.name):
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
-            program = build(
-                self._context, "lanes.cl", "shaded.cl", options=[f"-DBIAS={BIAS_TEXELS}f", f"-DSTEEPEST={STEEPEST}f"]
-            )
+            options = [f"-DBIAS={BIAS_TEXELS}f", f"-DSTEEPEST={STEEPEST}f"]
+            program = build(self._context, *FILES, options=options)
             self._planes, self._combined = (cl.Kernel(program, name) for name in ("planes", "combined"))
             arrays = (table.corners, table.starts, table.groups, table.shut, table.boxes)
             self._body: tuple[KernelArgument, ...] = (
@@ -69,7 +69,7 @@ class ShadedBody:
         a lobe that of (n . h)^k over the whole body, h half-way between the Sun and the camera.
         """
         given = self._given(part_transforms, towards_sun)
-        out = np.empty((len(given[0]), self.n_groups + 1 + len(gloss), side, side), np.float32)
+        out = np.zeros((len(given[0]), self.n_groups + 1 + len(gloss), side, side), np.float32)
         self._launch(self._planes, given, out, (side, supersample, shadow_px), gloss, ())
         return out
 
@@ -86,7 +86,7 @@ class ShadedBody:
     ) -> Numbers:
         """(N, side, side) sums of the planes times ``coefficients``, (G + 1 + L,) or (N, G + 1 + L)."""
         given = self._given(part_transforms, towards_sun)
-        out = np.empty((len(given[0]), 1, side, side), np.float32)
+        out = np.zeros((len(given[0]), 1, side, side), np.float32)
         self._sum(given, coefficients, out, (side, supersample, shadow_px), gloss)
         return out[:, 0]
 
@@ -101,7 +101,7 @@ class ShadedBody:
     ) -> Numbers:
         """(N, 2, side, side): all groups in the Sun's light with ``EVEN_LIGHT`` added, and the coverage."""
         given = self._given(part_transforms, towards_sun)
-        out = np.empty((len(given[0]), 2, side, side), np.float32)
+        out = np.zeros((len(given[0]), 2, side, side), np.float32)
         alike = np.append(np.ones(self.n_groups), EVEN_LIGHT)
         self._sum(given, alike, out, (side, supersample, shadow_px), ())
         return out
@@ -168,13 +168,15 @@ class ShadedBody:
             items = self._items(n, each)
             flags = cl.mem_flags
             inputs = (cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in given)
-            result = cl.Buffer(self._context, flags.WRITE_ONLY, out.nbytes)
+            result = cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=out)
             exponents = constant(self._context, np.asarray(gloss, np.float32))
             counter = constant(self._context, np.zeros(1, np.int32))
             scratch = self._scratch(4 * each * items)
             head = (*inputs, np.int32(n), *self._body, *(np.int32(v) for v in numbers), exponents, result, scratch)
             kernel(self._queue, (items,), (1,), *head, np.int32(each), counter, *more)
-            cl.enqueue_copy(self._queue, out, result)
+            mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
+            mapped.base.release(self._queue)
+            self._queue.finish()
 
     def _items(self, poses: int, each: int) -> int:
         """Work-items that share the poses: one for each core of a CPU, on a GPU as many as its memory may hold."""

@@ -1,36 +1,13 @@
 // Sunlit pictures of N posed bodies, with cast shadows. The readable twin is gpu/shaded_reference.py.
 //
 // One work-item takes pose after pose: draw the faces into a buffer of keys (depth and face in one number), draw them
-// once more from the Sun (depth only), then give every sample that sees the body its light. Faces come as corners,
-// sixteen side by side, those of a part together, so that nothing is looked up by index: a corner is moved as often as
-// faces share it, which is cheaper than to gather it. Coordinates count samples, and sample (i, j) is the point (j, i).
-// A face's number is its place in these arrays.
+// once more from the Sun (depth only), then give every sample that sees the body its light. A face's number is its place
+// in the arrays of faces.
 //
 // Built with BIAS, the texels by which a face may lie deeper than the Sun's view says and be lit, and STEEPEST, beyond
 // which a face is taken to be no steeper there.
 
-#pragma OPENCL FP_CONTRACT ON
-
-#define EMPTY 0x7fffffff
-#define FAR_AWAY 1e30f
-#define LEAST_AREA 1e-6f     // a face smaller than this, in samples, is seen edge-on
-#define LEAST_RISE 1e-6f     // an edge lower than this is level
-#define LEAST_RUN 1e-5f      // before an edge on the right, its side is its neighbour's
-#define NARROW 32            // samples up to which a face's rows are tested whole
 #define BORDER 1.0f          // texels around the body in the Sun's view
-
-#define least_of(a, b) ((a) < (b) ? (a) : (b))
-#define most_of(a, b) ((a) > (b) ? (a) : (b))
-
-typedef struct {
-    __global const float *corners;  // (9, padded): x, y, z of the first corners, of the second, of the third
-    __global const int *start;      // (parts + 1): of a part's faces, in sixteens
-    __global const int *group;      // (padded)
-    __global const float *shut;     // (padded) 1 or -1: of a closed piece, its front side; 0: both sides are seen
-    __global const float *boxes;    // (parts, 7): centre, half extents, radius of each part at rest
-    int parts, padded, bits;        // bits: of a face's number in a key
-    float radius;                   // of the body
-} Body;
 
 typedef struct {
     int side, fine, stride;         // pixels, samples along one, and in memory
@@ -47,28 +24,11 @@ typedef struct {
     __global float *row;            // (2, stride): sums of samples
 } Room;
 
-typedef struct { float m[12]; } Matrix;   // (3, 4)
-
 typedef struct {
     Matrix sun;                     // from the samples' space (column, row, depth) to the map's (column, row, depth)
     float3 towards, half_way;
     int shadows;                    // is there a map?
 } Light;
-
-typedef struct { float low[3], high[3]; } Range;
-
-// Sixteen faces, ready to be drawn: rows and columns, three edges, and the plane of depth. A sample in column x of row
-// top + r lies on an edge's inner side where side x + from + r step is not negative.
-typedef struct {
-    int top[LANES], bottom[LANES], left[LANES], right[LANES];
-    float side[3][LANES], from[3][LANES], step[3][LANES];
-    float z[LANES], right_z[LANES], down_z[LANES], near[LANES], far[LANES];
-} Faces;
-
-typedef struct { floats x[3], y[3], z[3]; } Corners;
-
-static void put(__global float *to, const floats values) { *(__global loose_floats *)to = values; }
-static void put_ints(__global int *to, const ints values) { *(__global loose_ints *)to = values; }
 
 #if defined(__AVX512F__) && defined(__has_builtin)
 #if __has_builtin(__builtin_ia32_gathersiv16sf)
@@ -97,185 +57,6 @@ static floats gather(__global const float *from, const ints index)
     return vload16(0, found);
 }
 #endif
-
-static bool any_of(const ints chosen) { return lanes_where(chosen) != 0; }
-
-// a after b, both (3, 4).
-static Matrix after(const Matrix a, const Matrix b)
-{
-    Matrix c;
-    for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 4; ++j)
-            c.m[4 * i + j] = a.m[4 * i] * b.m[j] + a.m[4 * i + 1] * b.m[4 + j] + a.m[4 * i + 2] * b.m[8 + j]
-                + (j == 3 ? a.m[4 * i + 3] : 0.0f);
-    return c;
-}
-
-// Of a part: body point -> samples; its depth is counted in samples too.
-static Matrix part_matrix(__global const float *transform, const float supersample)
-{
-    Matrix c;
-    for (int k = 0; k < 12; ++k) c.m[k] = supersample * transform[k];
-    c.m[3] -= 0.5f;
-    c.m[7] -= 0.5f;
-    return c;
-}
-
-static float scale_of(const Matrix a)
-{
-    float sum = 0.0f;
-    for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 3; ++j) sum += a.m[4 * i + j] * a.m[4 * i + j];
-    return sqrt(sum / 3.0f);
-}
-
-static float handedness(const Matrix a)
-{
-    const float3 x = {a.m[0], a.m[1], a.m[2]}, y = {a.m[4], a.m[5], a.m[6]}, z = {a.m[8], a.m[9], a.m[10]};
-    return dot(cross(x, y), z) < 0.0f ? -1.0f : 1.0f;
-}
-
-// What a part's bounding box or sphere covers at most, whichever is less.
-static Range widened(Range range, const Matrix a, __global const float *box)
-{
-    const float most = scale_of(a) * box[6] * 1.00001f;
-    for (int i = 0; i < 3; ++i) {
-        const float *row = a.m + 4 * i;
-        const float middle = row[0] * box[0] + row[1] * box[1] + row[2] * box[2] + row[3];
-        const float reach = fabs(row[0]) * box[3] + fabs(row[1]) * box[4] + fabs(row[2]) * box[5];
-        const float half_range = min(reach, most);
-        range.low[i] = min(range.low[i], middle - half_range);
-        range.high[i] = max(range.high[i], middle + half_range);
-    }
-    return range;
-}
-
-static Range range_of(const Body body, __global const float *transforms, const Matrix then, const float supersample)
-{
-    Range range = {{FAR_AWAY, FAR_AWAY, FAR_AWAY}, {-FAR_AWAY, -FAR_AWAY, -FAR_AWAY}};
-    for (int part = 0; part < body.parts; ++part)
-        range = widened(range, after(then, part_matrix(transforms + 12 * part, supersample)), body.boxes + 7 * part);
-    return range;
-}
-
-static Corners corners_at(const Body body, const int first, const Matrix a)
-{
-    Corners c;
-    for (int k = 0; k < 3; ++k) {
-        __global const float *at = body.corners + 3 * k * body.padded + first;
-        const floats x = floats_at(at), y = floats_at(at + body.padded), z = floats_at(at + 2 * body.padded);
-        c.x[k] = a.m[0] * x + a.m[1] * y + (a.m[2] * z + a.m[3]);
-        c.y[k] = a.m[4] * x + a.m[5] * y + (a.m[6] * z + a.m[7]);
-        c.z[k] = a.m[8] * x + a.m[9] * y + (a.m[10] * z + a.m[11]);
-    }
-    return c;
-}
-
-// Prepares sixteen faces for drawing; bit k is set where face k may cover a sample and is seen from its front.
-static uint prepare(const Corners c, const floats shut, const int width, const int height, Faces *to)
-{
-    const floats left = least_of(least_of(c.x[0], c.x[1]), c.x[2]), right = most_of(most_of(c.x[0], c.x[1]), c.x[2]);
-    const floats upper = least_of(least_of(c.y[0], c.y[1]), c.y[2]), lower = most_of(most_of(c.y[0], c.y[1]), c.y[2]);
-    const ints top = first_from(upper, height), bottom = first_from(lower, height);
-    const floats ax = c.x[1] - c.x[0], ay = c.y[1] - c.y[0], az = c.z[1] - c.z[0];
-    const floats bx = c.x[2] - c.x[0], by = c.y[2] - c.y[0], bz = c.z[2] - c.z[0];
-    const floats area = ax * by - ay * bx;
-    const ints from = first_from(left, width), to_column = first_from(right, width);
-    const ints seen = (from < to_column) & (top < bottom) & (fabs(area) > LEAST_AREA) & (shut * area <= 0.0f);
-    const uint drawn = lanes_where(seen);
-    if (drawn == 0) return 0;
-    vstore16(from, 0, to->left);
-    vstore16(to_column, 0, to->right);
-    const floats row = convert_float16(top), per_area = 1.0f / area;
-    for (int k = 0; k < 3; ++k) {
-        const int next = k == 2 ? 0 : k + 1;
-        const floats rise = c.y[next] - c.y[k];
-        const ints sloping = fabs(rise) > LEAST_RISE, is_left = rise * area < 0.0f;
-        const floats slope = (c.x[next] - c.x[k]) / rise, x = c.x[k] + (row - c.y[k]) * slope;
-        vstore16(sloping ? (is_left ? (floats)1.0f : (floats)-1.0f) : 0.0f, 0, to->side[k]);
-        vstore16(sloping ? (is_left ? -x : x - LEAST_RUN) : 1.0f, 0, to->from[k]);
-        vstore16(sloping ? (is_left ? -slope : slope) : 0.0f, 0, to->step[k]);
-    }
-    const floats right_z = (az * by - ay * bz) * per_area, down_z = (ax * bz - az * bx) * per_area;
-    vstore16(top, 0, to->top);
-    vstore16(bottom, 0, to->bottom);
-    vstore16(right_z, 0, to->right_z);
-    vstore16(down_z, 0, to->down_z);
-    vstore16(c.z[0] + (row - c.y[0]) * down_z - c.x[0] * right_z, 0, to->z);
-    // Seen edge-on, a plane is steep: rounding must not carry its depth past the face's own corners.
-    vstore16(least_of(least_of(c.z[0], c.z[1]), c.z[2]), 0, to->near);
-    vstore16(most_of(most_of(c.z[0], c.z[1]), c.z[2]), 0, to->far);
-    return drawn;
-}
-
-// Runs of samples [first, last) of face k in up to sixteen rows from `row` on.
-static void find_runs(const Faces *faces, const int k, const int row, const int width, int *first, int *last)
-{
-    const floats rows = convert_float16(lane_numbers() + (row - faces->top[k]));
-    floats left = -FAR_AWAY, right = FAR_AWAY;
-    for (int e = 0; e < 3; ++e) {
-        const float side = faces->side[e][k];
-        const floats x = faces->from[e][k] + rows * faces->step[e][k];
-        if (side > 0.0f) left = most_of(left, -x);
-        if (side < 0.0f) right = least_of(right, x);
-    }
-    vstore16(first_from(left, width), 0, first);
-    vstore16(first_from(right, width), 0, last);
-}
-
-// Depths are stored in sixteens that start at multiples of sixteen: what was stored last is loaded as it was stored.
-#define KEEP_KEY(chosen) { \
-    const ints key = convert_int16_rtz(deep) << bits | number, offered = (chosen) ? key : (ints)EMPTY; \
-    const ints old = *(__global const ints *)at; \
-    *(__global ints *)at = least_of(offered, old); }
-#define KEEP_DEPTH(chosen) { \
-    const floats offered = (chosen) ? deep : (floats)FAR_AWAY, old = *(__global const floats *)at; \
-    *(__global floats *)at = least_of(offered, old); }
-
-// Draws face k. A narrow one, as most are: sixteen columns after sixteen, all its rows, against all edges.
-#define DRAW_FACE(NAME, TYPE, KEEP, ...) \
-static void NAME(const Faces *faces, const int k, const int width, __global TYPE *picture, const int stride, __VA_ARGS__) \
-{ \
-    const int top = faces->top[k], bottom = faces->bottom[k], left = faces->left[k] & -LANES, right = faces->right[k]; \
-    const float right_z = faces->right_z[k], down_z = faces->down_z[k]; \
-    const floats near = faces->near[k], far = faces->far[k]; \
-    const floats lanes = convert_float16(lane_numbers()); \
-    if (right - left <= NARROW) { \
-        for (int column = left; column < right; column += LANES) { \
-            const floats x = lanes + (float)column; \
-            const float a_step = faces->step[0][k], b_step = faces->step[1][k], c_step = faces->step[2][k]; \
-            floats a = x * faces->side[0][k] + faces->from[0][k], b = x * faces->side[1][k] + faces->from[1][k]; \
-            floats c = x * faces->side[2][k] + faces->from[2][k], z = x * right_z + faces->z[k]; \
-            __global TYPE *at = picture + top * stride + column; \
-            for (int row = top; row < bottom; ++row, at += stride) { \
-                const floats deep = least_of(most_of(z, near), far); \
-                KEEP((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) \
-                a += a_step; \
-                b += b_step; \
-                c += c_step; \
-                z += down_z; \
-            } \
-        } \
-        return; \
-    } \
-    int first[LANES], last[LANES]; \
-    for (int row = top; row < bottom; row += LANES) { \
-        find_runs(faces, k, row, width, first, last); \
-        for (int i = 0; i < min(LANES, bottom - row); ++i) { \
-            const int begin = first[i], end = last[i]; \
-            const floats z = lanes * right_z + (faces->z[k] + (float)(row + i - top) * down_z); \
-            for (int column = begin & -LANES; column < end; column += LANES) { \
-                __global TYPE *at = picture + (row + i) * stride + column; \
-                const floats deep = least_of(most_of(z + (float)column * right_z, near), far); \
-                const ints lane = lane_numbers() + column; \
-                KEEP((lane >= begin) & (lane < end)) \
-            } \
-        } \
-    } \
-}
-
-DRAW_FACE(draw_key, int, KEEP_KEY, const int number, const int bits)
-DRAW_FACE(draw_depth, float, KEEP_DEPTH, const int unused)
 
 // The Sun's axes as rows: aside, down, and away from it.
 static Matrix sun_axes(const float3 towards)
@@ -433,90 +214,108 @@ static void clear(__global float *to, const int count)
     for (; k < count; ++k) to[k] = 0.0f;
 }
 
-// One pose. With `share`, the weights of the planes: their sum into the first picture, and into a second, where there
-// are two, the coverage. Without: every plane.
-static void draw_pose(const Body body, const Sizes sizes, const Room room, __global const float *transforms,
-    const float3 sun, __global const float *exponents, __global const float *share, const int pictures,
-    __global float *out)
+// The samples that the body may cover, and how many steps of depth a sample is long in keys.
+typedef struct { float near, steps; int left, right, top, bottom; } Window;
+
+static Window window_of(const Body body, const Sizes sizes, __global const float *transforms)
 {
-    const int pixels = sizes.side * sizes.side;
-    clear(out, (share ? pictures : sizes.n_groups + 1 + sizes.n_gloss) * pixels);
     const Matrix same = {{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
     const Range range = range_of(body, transforms, same, sizes.supersample);
-    const float last = (float)sizes.fine;
-    const int left = (int)clamp(range.low[0] - 1.0f, 0.0f, last) & -LANES;
-    const int right = (int)clamp(range.high[0] + 2.0f, 0.0f, last);
-    const int step = sizes.supersample, top = (int)clamp(range.low[1] - 1.0f, 0.0f, last) / step * step;
-    const int bottom = min(((int)clamp(range.high[1] + 2.0f, 0.0f, last) + step - 1) / step * step, sizes.fine);
-    if (left >= right || top >= bottom) return;
-    int map_rows = 0;
-    const Light light = light_of(body, sizes, transforms, sun, &map_rows);
-    for (int row = top; row < bottom; ++row)
-        for (int column = left; column < right; column += LANES)
+    const float last = (float)sizes.fine, deep = range.high[2] - range.low[2];
+    const int step = sizes.supersample;
+    Window w;
+    w.left = (int)clamp(range.low[0] - 1.0f, 0.0f, last) & -LANES;
+    w.right = (int)clamp(range.high[0] + 2.0f, 0.0f, last);
+    w.top = (int)clamp(range.low[1] - 1.0f, 0.0f, last) / step * step;
+    w.bottom = ((int)clamp(range.high[1] + 2.0f, 0.0f, last) + step - 1) / step * step;
+    w.near = range.low[2];
+    w.steps = deep > 0.0f ? (float)DEEPEST(body) / deep : 0.0f;
+    return w;
+}
+
+// The nearest face of every sample; with `light`, also what the faces that may be seen show of it.
+static void draw_from_camera(const Body body, const Sizes sizes, const Room room, const Window w,
+    __global const float *transforms, const Light *light, __global const float *exponents, __global const float *share)
+{
+    for (int row = w.top; row < w.bottom; ++row)
+        for (int column = w.left; column < w.right; column += LANES)
             put_ints(room.keys + row * sizes.stride + column, EMPTY);
-    const float deep = range.high[2] - range.low[2];
-    const float steps = deep > 0.0f ? (float)((1 << (31 - body.bits)) - 2) / deep : 0.0f;
     Faces faces;
     for (int part = 0; part < body.parts; ++part) {
         const Matrix placed = part_matrix(transforms + 12 * part, sizes.supersample);
         const float hand = handedness(placed);
         for (int first = LANES * body.start[part]; first < LANES * body.start[part + 1]; first += LANES) {
-            Corners c = corners_at(body, first, placed);
-            const Corners kept = c;
-            for (int k = 0; k < 3; ++k)
-                c.z[k] = clamp((c.z[k] - range.low[2]) * steps, 0.0f, (float)((1 << (31 - body.bits)) - 2));
-            uint drawn = prepare(c, hand * floats_at(body.shut + first), sizes.fine, sizes.fine, &faces);
-            if (drawn == 0) continue;
-            light_faces(body, sizes, room, light, kept, first, exponents, share);
+            const Corners c = corners_at(body, first, placed);
+            Corners deep = c;
+            for (int k = 0; k < 3; ++k) deep.z[k] = clamp((c.z[k] - w.near) * w.steps, 0.0f, (float)DEEPEST(body));
+            uint drawn = prepare(deep, hand * floats_at(body.shut + first), sizes.fine, sizes.fine, &faces);
+            if (drawn && light) light_faces(body, sizes, room, *light, c, first, exponents, share);
             for (; drawn; drawn &= drawn - 1) {
                 const int k = 31 - clz(drawn & -drawn);
                 draw_key(&faces, k, sizes.fine, room.keys, sizes.stride, first + k, body.bits);
             }
         }
     }
+}
+
+// Adds sixteen samples to the planes of their groups and to the lobes of gloss, `pixel` the first plane's row.
+static void add_to_planes(const Body body, const Sizes sizes, const Room room, const int column, const ints face,
+    const floats shown, const floats lit, __global float *pixel)
+{
+    const int pixels = sizes.side * sizes.side;
+    int number[LANES];
+    float bright[LANES], reach[LANES];
+    vstore16(face, 0, number);
+    vstore16(shown, 0, bright);
+    vstore16(lit, 0, reach);
+    for (int k = 0; k < LANES; ++k) {
+        if (number[k] < 0 || bright[k] == 0.0f) continue;   // turned away from the Sun, or in shadow: no gloss either
+        __global float *to = pixel + (column + k) / sizes.supersample;
+        to[body.group[number[k]] * pixels] += bright[k];
+        for (int g = 0; g < sizes.n_gloss; ++g)
+            to[(sizes.n_groups + 1 + g) * pixels] += reach[k] * room.gloss[g * body.padded + number[k]];
+    }
+}
+
+// One pose, into zeros. With `share`, the weights of the planes: their sum into the first picture, and into a second,
+// where there are two, the coverage. Without: every plane.
+static void draw_pose(const Body body, const Sizes sizes, const Room room, __global const float *transforms,
+    const float3 sun, __global const float *exponents, __global const float *share, const int pictures,
+    __global float *out)
+{
+    const Window w = window_of(body, sizes, transforms);
+    if (w.left >= w.right || w.top >= w.bottom) return;
+    int map_rows = 0;
+    const Light light = light_of(body, sizes, transforms, sun, &map_rows);
+    draw_from_camera(body, sizes, room, w, transforms, &light, exponents, share);
     if (light.shadows) draw_from_sun(body, sizes, room, light, transforms, map_rows);
-    const float each = 1.0f / (float)(step * step), per_step = steps > 0.0f ? 1.0f / steps : 0.0f;
+    const int pixels = sizes.side * sizes.side, step = sizes.supersample;
+    const float each = 1.0f / (float)(step * step), per_step = w.steps > 0.0f ? 1.0f / w.steps : 0.0f;
     const float even = share ? share[sizes.n_groups] : 0.0f;
     __global float *sums = room.row, *covered = room.row + sizes.stride;
-    for (int top_row = top; top_row < bottom; top_row += step) {
-        const int i = top_row / step;
+    __global float *coverage = out + (share ? 1 : sizes.n_groups) * pixels;
+    for (int i = w.top / step; i < w.bottom / step; ++i) {
         clear(sums, sizes.stride);
         clear(covered, sizes.stride);
         bool some = false;
-        for (int row = top_row; row < top_row + step; ++row)
-            for (int column = left; column < right; column += LANES) {
+        for (int row = i * step; row < (i + 1) * step; ++row)
+            for (int column = w.left; column < w.right; column += LANES) {
                 const ints key = ints_at(room.keys + row * sizes.stride + column), hit = key != EMPTY;
                 if (!any_of(hit)) continue;
                 some = true;
                 const ints face = hit ? key & ((1 << body.bits) - 1) : 0;
                 const floats full = hit ? gather(room.light, face) : 0.0f;
-                const floats depth = range.low[2] + (convert_float16(key >> body.bits) + 0.5f) * per_step;
+                const floats depth = w.near + (convert_float16(key >> body.bits) + 0.5f) * per_step;
                 floats lit = 1.0f;
-                if (light.shadows && (any_of(full != 0.0f) || sizes.n_gloss > 0))
+                if (light.shadows && any_of(full != 0.0f))
                     lit = reached(sizes, room, light.sun, row, column, depth, face);
                 put(covered + column, floats_at(covered + column) + (hit ? (floats)1.0f : 0.0f));
-                if (share) {
-                    put(sums + column, floats_at(sums + column) + (hit ? full * lit + even : 0.0f));
-                    continue;
-                }
-                int number[LANES];
-                float shown[LANES], reach[LANES];
-                vstore16(hit ? face : -1, 0, number);
-                vstore16(full * lit * each, 0, shown);
-                vstore16(lit * each, 0, reach);
-                for (int k = 0; k < LANES; ++k) {
-                    if (number[k] < 0) continue;
-                    __global float *pixel = out + i * sizes.side + (column + k) / step;
-                    pixel[body.group[number[k]] * pixels] += shown[k];
-                    for (int g = 0; g < sizes.n_gloss; ++g)
-                        pixel[(sizes.n_groups + 1 + g) * pixels]
-                            += reach[k] * room.gloss[g * body.padded + number[k]];
-                }
+                if (share) put(sums + column, floats_at(sums + column) + (hit ? full * lit + even : 0.0f));
+                else add_to_planes(body, sizes, room, column, hit ? face : -1, full * lit * each, lit * each,
+                    out + i * sizes.side);
             }
-        if (!some) continue;
-        if (share) give_row(sizes, sums, out + i * sizes.side, each);
-        const int second = share ? 1 : sizes.n_groups;
-        if (!share || pictures > 1) give_row(sizes, covered, out + second * pixels + i * sizes.side, each);
+        if (some && share) give_row(sizes, sums, out + i * sizes.side, each);
+        if (some && (!share || pictures > 1)) give_row(sizes, covered, coverage + i * sizes.side, each);
     }
 }
 
@@ -557,4 +356,24 @@ __kernel void combined(
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next))
         draw_pose(body, sizes, room, transforms + (size_t)pose * parts * 12, vload3(pose, suns), exponents,
             share + (size_t)pose * every, pictures, out + (size_t)pose * pictures * side * side);
+}
+
+// Marks the faces that are nearest to some sample in some pose. marks (padded), 0 before.
+__kernel void mark_seen(
+    __global const float *transforms, const int poses, BODY_GIVEN, SIZES_GIVEN, __global uchar *marks,
+    __global float *memory, const int each, volatile __global int *next)
+{
+    const Body body = BODY;
+    const Sizes sizes = SIZES;
+    const Room room = room_in(memory + get_global_id(0) * (size_t)each, body, sizes);
+    for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
+        __global const float *placed = transforms + (size_t)pose * parts * 12;
+        const Window w = window_of(body, sizes, placed);
+        draw_from_camera(body, sizes, room, w, placed, 0, 0, 0);
+        for (int row = w.top; row < w.bottom; ++row)
+            for (int column = w.left; column < min(w.right, sizes.fine); ++column) {
+                const int key = room.keys[row * sizes.stride + column];
+                if (key != EMPTY) marks[key & ((1 << body.bits) - 1)] = 1;
+            }
+    }
 }
