@@ -76,10 +76,12 @@ def _coarse_part(
 def _in_groups(
     vertices: Floats, faces: Indices, groups: NDArray[np.integer], change: Callable[[Piece], Piece]
 ) -> tuple[Piece, NDArray[np.integer]]:
-    """Each group's faces changed by themselves."""
+    """Each group's faces changed by themselves; those of a group of which nothing would be left stay."""
     points, corners, numbers, count = [], [], [], 0
     for group in np.unique(groups):
-        own_vertices, own_faces = change(_compact(vertices, faces[groups == group]))
+        before = _compact(vertices, faces[groups == group])
+        after = change(before)
+        own_vertices, own_faces = after if len(after[1]) else before
         points.append(own_vertices)
         corners.append(own_faces + count)
         numbers.append(np.full(len(own_faces), group))

@@ -12,8 +12,9 @@ from gpu.device import DeviceReport, find_devices, no_device_reason, open_device
 from gpu.errors import DeviceError
 from gpu.mesh import Mesh
 from gpu.program import KernelArgument, build, constant, device_errors
-from gpu.shaded_faces import LANES, face_table
+from gpu.shaded_faces import LANES, FaceTable, face_table
 from gpu.shaded_reference import BIAS_TEXELS, STEEPEST
+from gpu.shaded_views import SIDE, views_of_parts
 
 Numbers = NDArray[np.float32]
 EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
@@ -32,12 +33,10 @@ class ShadedBody:
     A pose with a number that is not finite gives zeros.
     """
 
-    def __init__(self, mesh: Mesh, groups: NDArray[np.integer], report: DeviceReport) -> None:
+    def __init__(self, mesh: Mesh, groups: NDArray[np.integer], report: DeviceReport, drop_hidden: bool = True) -> None:
         self.name = f"opencl:shaded:{report.name}"
         self.n_groups = int(groups.max(initial=0)) + 1
-        self._n_parts = len(mesh.parts)
-        table = face_table(mesh, groups)
-        self._padded = table.n_padded
+        self._n_parts, self._radius = len(mesh.parts), np.float32(mesh.radius)
         self._is_cpu = report.kind == "cpu"
         self._memory: tuple[int, cl.Buffer] | None = None
         with device_errors(self.name):
@@ -45,13 +44,31 @@ class ShadedBody:
             self._context = self._queue.context
             options = [f"-DBIAS={BIAS_TEXELS}f", f"-DSTEEPEST={STEEPEST}f"]
             program = build(self._context, *FILES, options=options)
-            self._planes, self._combined = (cl.Kernel(program, name) for name in ("planes", "combined"))
+            kernels = (cl.Kernel(program, name) for name in ("planes", "combined", "mark_seen"))
+            self._planes, self._combined, self._mark_seen = kernels
+        self._take(face_table(mesh, groups))
+        if drop_hidden:
+            self._take(face_table(mesh, groups, self._seen(mesh)))
+
+    def _take(self, table: FaceTable) -> None:
+        """Bring the faces to the device."""
+        self._table = table
+        with device_errors(self.name):
             arrays = (table.corners, table.starts, table.groups, table.shut, table.boxes)
             self._body: tuple[KernelArgument, ...] = (
                 *(constant(self._context, array) for array in arrays),
-                *(np.int32(v) for v in (self._n_parts, self._padded, table.bits)),
-                np.float32(mesh.radius),
+                *(np.int32(v) for v in (self._n_parts, table.n_padded, table.bits)),
+                self._radius,
             )
+
+    def _seen(self, mesh: Mesh) -> NDArray[np.bool_]:
+        """(F,) whether a face is seen from anywhere outside its part, when the part is alone."""
+        given = self._given(views_of_parts(mesh), np.array([0.0, 0.0, -1.0]))
+        marks = np.zeros(self._table.n_padded, np.uint8)
+        self._launch(self._mark_seen, given[:1], marks, (SIDE, 1, 0), None, ())
+        seen = np.zeros(mesh.n_faces, dtype=bool)
+        seen[self._table.origin[marks > 0]] = True
+        return seen
 
     def planes(
         self,
@@ -146,33 +163,38 @@ class ShadedBody:
     def _launch(
         self,
         kernel: cl.Kernel,
-        given: tuple[Numbers, Numbers],
-        out: Numbers,
+        given: tuple[Numbers, ...],
+        out: NDArray[np.generic],
         sizes: tuple[int, int, int],
-        gloss: tuple[float, ...],
+        gloss: tuple[float, ...] | None,
         more: tuple[KernelArgument, ...],
     ) -> None:
         side, supersample, shadow_px = sizes
         if min(side, supersample) < 1 or shadow_px < 0:
             raise ValueError(f"{side} px, {supersample} samples and {shadow_px} texels cannot be drawn")
-        n = len(out)
+        n = len(given[0])
         if n == 0:
             return
         stride = _lanes(side * supersample)
         shadow_side = shadow_px + 4 if shadow_px else 0
         shadow_stride = _lanes(shadow_side)
-        numbers = (side, supersample, stride, shadow_px, shadow_side, shadow_stride, self.n_groups, len(gloss))
-        each = side * supersample * stride + shadow_side * shadow_stride + (3 + len(gloss)) * self._padded + 2 * stride
+        numbers = (side, supersample, stride, shadow_px, shadow_side, shadow_stride, self.n_groups, len(gloss or ()))
+        each = (
+            side * supersample * stride
+            + shadow_side * shadow_stride
+            + (3 + len(gloss or ())) * self._table.n_padded
+            + 2 * stride
+        )
         each = -(-(each + 2 * LANES) // 32) * 32
         with device_errors(self.name):
             items = self._items(n, each)
             flags = cl.mem_flags
             inputs = (cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in given)
             result = cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=out)
-            exponents = constant(self._context, np.asarray(gloss, np.float32))
+            exponents = () if gloss is None else (constant(self._context, np.asarray(gloss, np.float32)),)
             counter = constant(self._context, np.zeros(1, np.int32))
             scratch = self._scratch(4 * each * items)
-            head = (*inputs, np.int32(n), *self._body, *(np.int32(v) for v in numbers), exponents, result, scratch)
+            head = (*inputs, np.int32(n), *self._body, *(np.int32(v) for v in numbers), *exponents, result, scratch)
             kernel(self._queue, (items,), (1,), *head, np.int32(each), counter, *more)
             mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
             mapped.base.release(self._queue)
@@ -192,17 +214,23 @@ class ShadedBody:
 
 
 def open_shaded(
-    mesh: Mesh, groups: NDArray[np.integer], *, reports: Sequence[DeviceReport] | None = None, kind: str = "cpu"
+    mesh: Mesh,
+    groups: NDArray[np.integer],
+    *,
+    reports: Sequence[DeviceReport] | None = None,
+    kind: str = "cpu",
+    drop_hidden: bool = True,
 ) -> ShadedBody:
     """On the first usable device of this kind. ``groups`` (F,): see ``gpu.surface_groups``.
 
+    With ``drop_hidden``, faces that cannot be seen from outside their part are left out, once for all.
     Raises ``DeviceError`` where OpenCL has none.
     """
     if len(groups) != mesh.n_faces:
         raise ValueError(f"{len(groups)} groups are given for {mesh.n_faces} faces")
     for report in find_devices() if reports is None else reports:
         if report.rejected is None and report.kind == kind:
-            return ShadedBody(mesh, groups, report)
+            return ShadedBody(mesh, groups, report, drop_hidden)
     raise DeviceError(f"no {kind.upper()} is an OpenCL device: {no_device_reason() or 'others are'}")
 
 

@@ -37,10 +37,11 @@ class FaceTable:
         return max((self.n_padded - 1).bit_length(), 1)
 
 
-def face_table(mesh: Mesh, groups: NDArray[np.integer]) -> FaceTable:
-    """Arrange the mesh's faces; ``groups`` (F,) are their surface groups."""
+def face_table(mesh: Mesh, groups: NDArray[np.integer], kept: NDArray[np.bool_] | None = None) -> FaceTable:
+    """Arrange the mesh's faces, or those of them that are ``kept`` (F,); ``groups`` (F,) are their surface groups."""
     vertices = np.vstack([part.vertices for part in mesh.parts])
-    parts = [np.flatnonzero(mesh.part_of == p) for p in range(len(mesh.parts))]
+    kept = np.ones(mesh.n_faces, dtype=bool) if kept is None else kept
+    parts = [np.flatnonzero((mesh.part_of == p) & kept) for p in range(len(mesh.parts))]
     padded = [np.append(own, np.full(-len(own) % LANES, -1)) for own in parts]
     origin = np.concatenate(padded).astype(np.int64)
     real = origin >= 0
