@@ -36,6 +36,17 @@ def test_passes_become_rows_and_a_report(tmp_path):
     assert "pass_001" in result.output
 
 
+def test_mixed_passes_take_the_evaluators_options(tmp_path):
+    few = ["--limit", "2", "--preset", "paper", *SMALL[2:], "--json", str(tmp_path / "rows.json")]
+    told = ["--materials", "mixed", "--from", "1", "--sun-off", "5", "--range"]
+    result = RUNNER.invoke(app, ["bench", "track", "--passes", "1", *few, *told], env=WIDE)
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "rows.json").read_text())
+    assert document["rows"][0]["frames"] == 2
+    assert {"right_twin", "silent"} <= set(document["rows"][0])
+    assert {"acquired1", "right_twin", "silent", "hard90"} <= set(document["overall"][0])
+
+
 def test_variants_stand_beside_the_default(tmp_path):
     simulated = RUNNER.invoke(
         app, ["simulate", "--out", str(tmp_path / "one"), "--frames", "2", "--size", "64x64", "--preset", "night"]

@@ -43,6 +43,14 @@ def test_random_passes_go_round_the_meshes(folder, tmp_path):
     assert notes == ["random pass 0", "random pass 1", "random pass 2"]
 
 
+def test_mixed_random_passes_are_another_draw(tmp_path):
+    arguments = ["simulate", "--out", str(tmp_path), "--random", "1", "--frames", "1", "--materials", "mixed"]
+    assert RUNNER.invoke(app, arguments).exit_code == 0
+    case = json.loads((tmp_path / "pass_000" / "case.json").read_text())
+    assert (case["materials"], case["width"], case["background_frames"]) == ("mixed", 192, 6)
+    assert case["note"].startswith("random mixed pass 0: phase ")
+
+
 def test_track_writes_estimates_and_a_sheet(folder, tmp_path):
     arguments = ["track", "--mesh", "demo", "--background", str(folder / "background")]
     arguments += [
