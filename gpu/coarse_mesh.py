@@ -24,6 +24,7 @@ Piece = tuple[Floats, Indices]  # vertices (V, 3), faces (F, 3)
 
 ERROR_PX = 0.2  # by which a face may move, and the size of a cell
 LARGEST_CHANGE = 0.03  # of a part's area in pictures: what a coarse one may cover too much or too little
+LEAST_CHANGE = 0.002  # of the whole body's: what does not count, however small the part
 VIEWS = 16
 _SAMPLES = 2  # for each pixel, along one axis, where silhouettes are compared
 _FEWEST = 64  # faces of a part from which on it is worth the work
@@ -40,35 +41,50 @@ def coarse_mesh(mesh: Mesh, groups: NDArray[np.integer], radius_px: float) -> tu
     vertices = np.empty((int(place.max()) + 1, 3))
     vertices[place] = np.vstack([part.vertices for part in mesh.parts])
     faces = place[mesh.faces]
+    wholes = [_compact(vertices, faces[mesh.part_of == number]) for number in range(len(mesh.parts))]
+    shown = [_Views(whole, pixel) for whole in wholes]
+    least = LEAST_CHANGE * sum(views.area for views in shown)
     parts, kept = [], []
-    for number, part in enumerate(mesh.parts):
-        own = mesh.part_of == number
-        found = _coarse_part(vertices, faces[own], groups[own], pixel) if own.sum() >= _FEWEST else None
-        simpler, group = found if found is not None else ((part.vertices, part.faces.astype(np.int64)), groups[own])
+    for number, (part, whole, views) in enumerate(zip(mesh.parts, wholes, shown, strict=True)):
+        own = groups[mesh.part_of == number]
+        found = _coarse_part(whole, own, views, least) if len(own) >= _FEWEST else None
+        simpler, group = found if found is not None else ((part.vertices, part.faces.astype(np.int64)), own)
         parts.append(Part(part.name, simpler[0], simpler[1].astype(np.int32)))
         kept.append(group)
     coarse = Mesh(tuple(parts), mesh.centre, mesh.size, mesh.radius, mesh.watertight, mesh.warnings)
     return coarse, np.concatenate(kept).astype(np.int32)
 
 
+class _Views:
+    """A part's silhouettes from ``VIEWS`` sides, and what others of it change in them."""
+
+    def __init__(self, whole: Piece, pixel: float) -> None:
+        self.pixel = pixel
+        self._middle = 0.5 * (whole[0].min(axis=0) + whole[0].max(axis=0))
+        radius = float(np.linalg.norm(whole[0] - self._middle, axis=1).max())
+        self._side = int(np.ceil(2.0 * _SAMPLES * radius / pixel)) + 2
+        turns = Rotation.random(VIEWS, random_state=np.random.default_rng(0)).as_matrix()
+        self._turns = turns.transpose(0, 2, 1) * (_SAMPLES / pixel)
+        self._wanted = self._seen(whole)
+        self.area = int(np.count_nonzero(self._wanted))
+
+    def _seen(self, piece: Piece) -> NDArray[np.bool_]:
+        return silhouettes((piece[0] - self._middle) @ self._turns + 0.5 * self._side, piece[1], self._side)
+
+    def changed(self, piece: Piece) -> int:
+        """In how many samples another silhouette differs."""
+        return int(np.count_nonzero(self._seen(piece) != self._wanted))
+
+
 def _coarse_part(
-    vertices: Floats, faces: Indices, groups: NDArray[np.integer], pixel: float
+    whole: Piece, groups: NDArray[np.integer], views: _Views, least: float
 ) -> tuple[Piece, NDArray[np.integer]] | None:
-    """The coarsest of two that keeps the part's silhouette, and its faces' groups; None where neither does."""
-    whole = _compact(vertices, faces)
-    middle = 0.5 * (whole[0].min(axis=0) + whole[0].max(axis=0))
-    radius = float(np.linalg.norm(whole[0] - middle, axis=1).max())
-    side = int(np.ceil(2.0 * _SAMPLES * radius / pixel)) + 2
-    turns = Rotation.random(VIEWS, random_state=np.random.default_rng(0)).as_matrix() * (_SAMPLES / pixel)
-
-    def seen(piece: Piece) -> NDArray[np.bool_]:
-        return silhouettes((piece[0] - middle) @ turns.transpose(0, 2, 1) + 0.5 * side, piece[1], side)
-
-    wanted = seen(whole)
-    flat = _in_groups(vertices, faces, groups, lambda piece: _collapsed(piece, ERROR_PX * pixel))
-    joined = _in_groups(*flat[0], flat[1], lambda piece: _clustered(piece, ERROR_PX * pixel))
+    """The coarser of two that keeps the part's silhouette, and its faces' groups; None where neither does."""
+    size = ERROR_PX * views.pixel
+    flat = _in_groups(*whole, groups, lambda piece: _collapsed(piece, size))
+    joined = _in_groups(*flat[0], flat[1], lambda piece: _clustered(piece, size))
     for piece, group in (joined, flat):
-        if len(piece[1]) and np.count_nonzero(seen(piece) != wanted) <= LARGEST_CHANGE * np.count_nonzero(wanted):
+        if views.changed(piece) <= max(LARGEST_CHANGE * views.area, least):
             return piece, group
     return None
 

@@ -293,10 +293,11 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
     const float each = 1.0f / (float)(step * step), per_step = w.steps > 0.0f ? 1.0f / w.steps : 0.0f;
     const float even = share ? share[sizes.n_groups] : 0.0f;
     __global float *sums = room.row, *covered = room.row + sizes.stride;
+    const bool covers = !share || pictures > 1;
     __global float *coverage = out + (share ? 1 : sizes.n_groups) * pixels;
     for (int i = w.top / step; i < w.bottom / step; ++i) {
         clear(sums, sizes.stride);
-        clear(covered, sizes.stride);
+        if (covers) clear(covered, sizes.stride);
         bool some = false;
         for (int row = i * step; row < (i + 1) * step; ++row)
             for (int column = w.left; column < w.right; column += LANES) {
@@ -309,13 +310,13 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
                 floats lit = 1.0f;
                 if (light.shadows && any_of(full != 0.0f))
                     lit = reached(sizes, room, light.sun, row, column, depth, face);
-                put(covered + column, floats_at(covered + column) + (hit ? (floats)1.0f : 0.0f));
+                if (covers) put(covered + column, floats_at(covered + column) + (hit ? (floats)1.0f : 0.0f));
                 if (share) put(sums + column, floats_at(sums + column) + (hit ? full * lit + even : 0.0f));
                 else add_to_planes(body, sizes, room, column, hit ? face : -1, full * lit * each, lit * each,
                     out + i * sizes.side);
             }
         if (some && share) give_row(sizes, sums, out + i * sizes.side, each);
-        if (some && (!share || pictures > 1)) give_row(sizes, covered, coverage + i * sizes.side, each);
+        if (some && covers) give_row(sizes, covered, coverage + i * sizes.side, each);
     }
 }
 
