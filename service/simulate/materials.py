@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Materials = Literal["painted", "mixed"]
 
 _GLASS = 0.04  # what glass, varnish and binder reflect
-_CHANCES = (0.65, 0.18, 0.17)  # of paint, panel, metal
+_CHANCES = (0.6, 0.17, 0.23)  # of paint, panel, metal
 PIECES_OF_THEIR_OWN = 10  # of each part, the largest; the other pieces have one paint together
 
 
@@ -81,7 +81,7 @@ def _draw_panel(rng: np.random.Generator) -> _Material:
 
 def _draw_metal(rng: np.random.Generator) -> _Material:
     """Bare or coated metal, foil: hardly any diffuse light, a strong lobe."""
-    return _Material(rng.uniform(0.02, 0.08), rng.uniform(0.5, 0.9), rng.uniform(0.2, 0.5))
+    return _Material(rng.uniform(0.02, 0.08), rng.uniform(0.6, 0.9), rng.uniform(0.15, 0.45))
 
 
 def _areas(mesh: Mesh) -> Floats:

@@ -1,9 +1,13 @@
 """Passes drawn at random as real frames are: mixed materials, earthshine, phase angles to 110 degrees, some by day.
 
 Chances and ranges are those of path-traced passes that a benchmark of this project is made of (docs/benchmarks.md).
+What decides how hard a pass is comes from an additive recurrence (steps of irrational lengths): passes of neighbouring
+seeds cover the ranges evenly, so that a benchmark of some twenty does not hang on the luck of the draw.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,18 +23,34 @@ _DIAMETER_SHARE = (45 / 192, 150 / 192)  # of the bounding sphere, over the imag
 _SPIN_DEG = (0.1, 2.0)  # a frame
 _JOINT_DEG = (0.1, 0.35)  # a frame
 _SIGNAL_E = (500.0, 4000.0)
-_CHANCE_8_BITS, _CHANCE_16_BITS, _CHANCE_DAY = 0.46, 0.46, 0.08
+_CHANCE_8_BITS, _CHANCE_DAY = 0.46, 0.08  # else 16 bits; by day the air is calm
 _CHANCE_TURBULENT = 0.25
 _CHANCE_JOINTS_MOVE = 0.6
+_LIKELY_PHASE_DEG, _MOST_PHASE_DEG = 20.0, 110.0
 _SEEDS = 0x6D697865
+_STEPS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0])
+
+
+class _Even(NamedTuple):
+    """Numbers from 0 to 1, each of them spread evenly over neighbouring seeds."""
+
+    sensor: float
+    air: float
+    signal: float
+    phase: float
+    diameter: float
+    seeing: float
+    spin: float
+    joints: float
 
 
 def randomised_mixed(seed: int, *, size: tuple[int, int] = SIZE, frames: int = FRAMES) -> Scenario:
     """A pass with attitude, rates, light, materials, seeing, sensor and size drawn at random."""
     rng = np.random.default_rng([seed, _SEEDS])
-    camera = _camera(rng)
-    turbulent = not camera.colour and rng.uniform() < _CHANCE_TURBULENT
-    light, air, motion = _light(rng), _air(rng, turbulent), _motion(rng, frames, turbulent)
+    even = _Even(*((0.5 + seed * _STEPS) % 1.0).tolist())
+    turbulent = even.air < _CHANCE_TURBULENT
+    camera = _camera(even, turbulent)
+    light, air, motion = _light(rng, even), _air(even, turbulent), _motion(rng, even, frames, turbulent)
     seen = f"D/r0 {air.d_over_r0:.1f}" if turbulent else "calm"
     return Scenario(
         f"random mixed pass {seed}: phase {light.phase_deg:.0f} deg, {seen}, {motion.extent * min(size):.0f} px",
@@ -45,10 +65,9 @@ def randomised_mixed(seed: int, *, size: tuple[int, int] = SIZE, frames: int = F
     )
 
 
-def _camera(rng: np.random.Generator) -> Camera:
-    kind = rng.choice(3, p=(_CHANCE_8_BITS, _CHANCE_16_BITS, _CHANCE_DAY))
-    signal = _log_uniform(rng, *_SIGNAL_E)
-    if kind == 0:
+def _camera(even: _Even, turbulent: bool) -> Camera:
+    signal = _log_between(even.signal, *_SIGNAL_E)
+    if even.sensor < _CHANCE_8_BITS:
         return Camera(
             signal_e=signal,
             sky_e=(40.0, 40.0, 40.0),
@@ -59,7 +78,7 @@ def _camera(rng: np.random.Generator) -> Camera:
             stars=30,
             star_e=600.0,
         )
-    if kind == 1:
+    if even.sensor < 1.0 - _CHANCE_DAY or turbulent:
         return Camera(
             bits=16,
             signal_e=signal,
@@ -84,11 +103,11 @@ def _camera(rng: np.random.Generator) -> Camera:
     )
 
 
-def _light(rng: np.random.Generator) -> Light:
+def _light(rng: np.random.Generator, even: _Even) -> Light:
     earth = rng.standard_normal(3)
     x, y, z = (float(value) for value in earth / np.linalg.norm(earth))
     return Light(
-        phase_deg=float(rng.triangular(0.0, 20.0, 110.0)),
+        phase_deg=_triangular(even.phase, _LIKELY_PHASE_DEG, _MOST_PHASE_DEG),
         sun_roll_deg=float(rng.uniform(0.0, 360.0)),
         ambient=0.0,
         earth=float(rng.uniform(0.02, 0.12)),
@@ -96,26 +115,37 @@ def _light(rng: np.random.Generator) -> Light:
     )
 
 
-def _air(rng: np.random.Generator, turbulent: bool) -> Air:
-    sigma, d_over_r0 = float(rng.uniform(0.5, 1.05)), float(rng.uniform(1.0, 6.0))
+def _air(even: _Even, turbulent: bool) -> Air:
     if not turbulent:
-        return Air(psf_sigma_px=sigma, scintillation=0.03)
+        return Air(psf_sigma_px=_between(even.seeing, 0.5, 1.05), scintillation=0.03)
+    d_over_r0 = _between(even.seeing, 1.0, 6.0)
     return Air(psf_sigma_px=0.5, d_over_r0=d_over_r0, airy_px=1.6, warp_px=0.12 * d_over_r0, scintillation=0.06)
 
 
-def _motion(rng: np.random.Generator, frames: int, turbulent: bool) -> Motion:
+def _motion(rng: np.random.Generator, even: _Even, frames: int, turbulent: bool) -> Motion:
     interval_s = Motion.frame_interval_s
     return Motion(
         frames=frames,
-        extent=float(rng.uniform(*_DIAMETER_SHARE)),
-        rate_deg_s=_log_uniform(rng, *_SPIN_DEG) / interval_s,
+        extent=_between(even.diameter, *_DIAMETER_SHARE),
+        rate_deg_s=_log_between(even.spin, *_SPIN_DEG) / interval_s,
         position_share=(float(rng.uniform(0.42, 0.58)), float(rng.uniform(0.42, 0.58))),
         wobble_px=1.0 if turbulent else 0.5,
         joint_start_deg=float(rng.uniform(-60.0, 60.0)),
         joint_rate_deg_s=float(rng.choice([-1.0, 1.0]) * rng.uniform(*_JOINT_DEG)) / interval_s,
-        joints=None if rng.uniform() < _CHANCE_JOINTS_MOVE else (),
+        joints=None if even.joints < _CHANCE_JOINTS_MOVE else (),
     )
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+def _between(share: float, low: float, high: float) -> float:
+    return low + share * (high - low)
+
+
+def _log_between(share: float, low: float, high: float) -> float:
+    return float(low * (high / low) ** share)
+
+
+def _triangular(share: float, peak: float, high: float) -> float:
+    """Value below which this share of a triangular distribution from 0 lies."""
+    if share < peak / high:
+        return float(np.sqrt(share * high * peak))
+    return float(high - np.sqrt((1.0 - share) * high * (high - peak)))
