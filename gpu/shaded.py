@@ -80,13 +80,13 @@ class ShadedBody:
         shadow_px: int,
         gloss: tuple[float, ...] = (),
     ) -> Numbers:
-        """(N, G + 1 + L, side, side): each group in the Sun's light, the coverage, then a lobe for each of ``gloss``.
+        """(N, G + 1 + L G, side, side): each group in the Sun's light, the coverage, then each lobe of each group.
 
         A group's plane is the mean over a pixel's samples of n . s where the group is seen and the Sun reaches it;
-        a lobe that of (n . h)^k over the whole body, h half-way between the Sun and the camera.
+        a lobe's that of (n . h)^k, h half-way between the Sun and the camera.
         """
         given = self._given(part_transforms, towards_sun)
-        out = np.zeros((len(given[0]), self.n_groups + 1 + len(gloss), side, side), np.float32)
+        out = np.zeros((len(given[0]), self.n_groups * (1 + len(gloss)) + 1, side, side), np.float32)
         self._launch(self._planes, given, out, (side, supersample, shadow_px), gloss, ())
         return out
 
@@ -101,7 +101,7 @@ class ShadedBody:
         shadow_px: int,
         gloss: tuple[float, ...] = (),
     ) -> Numbers:
-        """(N, side, side) sums of the planes times ``coefficients``, (G + 1 + L,) or (N, G + 1 + L)."""
+        """(N, side, side) sums of the planes times ``coefficients``, (G + 1 + L G,) or (N, G + 1 + L G)."""
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), 1, side, side), np.float32)
         self._sum(given, coefficients, out, (side, supersample, shadow_px), gloss)
@@ -152,7 +152,7 @@ class ShadedBody:
         sizes: tuple[int, int, int],
         gloss: tuple[float, ...],
     ) -> None:
-        count, n = self.n_groups + 1 + len(gloss), len(out)
+        count, n = self.n_groups * (1 + len(gloss)) + 1, len(out)
         if coefficients.shape not in ((count,), (n, count)):
             raise ValueError(f"coefficients are {coefficients.shape}, not ({count},) or ({n}, {count})")
         with device_errors(self.name):

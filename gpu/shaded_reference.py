@@ -43,17 +43,17 @@ def reference_planes(
     towards_sun: NDArray[np.floating],
     drawing: Drawing,
 ) -> Floats:
-    """(N, G + 1 + L, side, side): each group in the Sun's light, the coverage, the lobes of gloss."""
+    """(N, G + 1 + L G, side, side): each group in the Sun's light, the coverage, each group's lobes of gloss."""
     suns = np.broadcast_to(np.asarray(towards_sun, np.float64), (len(part_transforms), 3))
-    n_planes, side = int(groups.max(initial=0)) + 2 + len(drawing.gloss), drawing.side
-    out = np.zeros((len(part_transforms), n_planes, side, side))
+    n_groups, side = int(groups.max(initial=0)) + 1, drawing.side
+    out = np.zeros((len(part_transforms), n_groups * (1 + len(drawing.gloss)) + 1, side, side))
     for k, (one, sun) in enumerate(zip(part_transforms.astype(np.float64), suns, strict=True)):
         out[k] = _draw(mesh, groups, one, sun / np.linalg.norm(sun), drawing)
     return out
 
 
 def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floats, drawing: Drawing) -> Floats:
-    """(G + 1 + L, side, side) of one pose."""
+    """(G + 1 + L G, side, side) of one pose."""
     fine = drawing.side * drawing.supersample
     placed = transforms * drawing.supersample
     corners = mesh.placed(placed)[mesh.faces]
@@ -68,13 +68,13 @@ def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floa
     if drawing.shadow_px and len(face):
         lit *= _reached(_sun_view(mesh, placed, corners, sun, drawing), visible, normal, sun)
     n_groups = int(groups.max(initial=0)) + 1
-    planes = np.zeros((n_groups + 1 + len(drawing.gloss), fine, fine))
+    planes = np.zeros((n_groups * (1 + len(drawing.gloss)) + 1, fine, fine))
     planes[groups[face], rows, columns] = lit * np.maximum(cosine[face], 0.0)
     planes[n_groups, rows, columns] = 1.0
     half_way = sun + _CAMERA
     half_way /= max(float(np.linalg.norm(half_way)), 1e-12)
     for k, exponent in enumerate(drawing.gloss):
-        planes[n_groups + 1 + k, rows, columns] = lit * np.maximum(normal @ half_way, 0.0)[face] ** exponent
+        planes[n_groups * (1 + k) + 1 + groups[face], rows, columns] = lit * np.maximum(normal @ half_way, 0.0)[face] ** exponent
     size = (drawing.side, drawing.supersample)
     return np.asarray(planes.reshape(len(planes), *size, *size).mean(axis=(2, 4)))
 

@@ -122,8 +122,12 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
         const floats shine = towards > 0.0f ? towards : 0.0f;
         for (int k = 0; k < sizes.n_gloss; ++k) {
             const floats lobe = facing & (shine > 0.0f) ? powr(shine, (floats)exponents[k]) : 0.0f;
-            if (share) sum += share[sizes.n_groups + 1 + k] * lobe;
-            else put(room.gloss + k * body.padded + first, lobe);
+            if (share) {
+                float strength[LANES];
+                __global const float *of = share + sizes.n_groups * (1 + k) + 1;
+                for (int j = 0; j < LANES; ++j) strength[j] = of[body.group[first + j]];
+                sum += vload16(0, strength) * lobe;
+            } else put(room.gloss + k * body.padded + first, lobe);
         }
     }
     put(room.light + first, sum);
@@ -258,7 +262,7 @@ static void draw_from_camera(const Body body, const Sizes sizes, const Room room
     }
 }
 
-// Adds sixteen samples to the planes of their groups and to the lobes of gloss, `pixel` the first plane's row.
+// Adds sixteen samples to the planes of their groups and to their groups' lobes of gloss, `pixel` the first plane's row.
 static void add_to_planes(const Body body, const Sizes sizes, const Room room, const int column, const ints face,
     const floats shown, const floats lit, __global float *pixel)
 {
@@ -273,7 +277,7 @@ static void add_to_planes(const Body body, const Sizes sizes, const Room room, c
         __global float *to = pixel + (column + k) / sizes.supersample;
         to[body.group[number[k]] * pixels] += bright[k];
         for (int g = 0; g < sizes.n_gloss; ++g)
-            to[(sizes.n_groups + 1 + g) * pixels] += reach[k] * room.gloss[g * body.padded + number[k]];
+            to[(sizes.n_groups * (1 + g) + 1 + body.group[number[k]]) * pixels] += reach[k] * room.gloss[g * body.padded + number[k]];
     }
 }
 
@@ -330,7 +334,7 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
 #define SIZES \
     {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_gloss}
 
-// out (N, groups + 1 + gloss, side, side)
+// out (N, groups + 1 + groups * gloss, side, side)
 __kernel void planes(
     __global const float *transforms, __global const float *suns, const int poses, BODY_GIVEN, SIZES_GIVEN,
     __global const float *exponents, __global float *out, __global float *memory, const int each,
@@ -339,7 +343,7 @@ __kernel void planes(
     const Body body = BODY;
     const Sizes sizes = SIZES;
     const Room room = room_in(memory + get_global_id(0) * (size_t)each, body, sizes);
-    const size_t size = (size_t)(n_groups + 1 + n_gloss) * side * side;
+    const size_t size = (size_t)(n_groups * (1 + n_gloss) + 1) * side * side;
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next))
         draw_pose(body, sizes, room, transforms + (size_t)pose * parts * 12, vload3(pose, suns), exponents, 0, 0,
             out + pose * size);

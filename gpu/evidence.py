@@ -1,0 +1,189 @@
+"""Runs ``kernels/evidence.cl``: the light of many drawn poses against one patch of a frame.
+
+Knows pictures and noise, not what they mean: see docs/model.md, section 3. The readable twin is
+``service.inference.model.likelihood.fit_light``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from gpu.device import DeviceReport, find_devices, no_device_reason, open_device
+from gpu.errors import DeviceError
+from gpu.program import build, constant, device_errors
+
+Numbers = NDArray[np.float32]
+LANES = 16
+HERMITE, BUMPS = 12, 9
+_REACH = 3.5  # sigmas of a Gaussian that are summed
+
+
+class Terms(Protocol):
+    """What one patch and its priors are to the kernel. Pictures are (S, S), S a multiple of 16."""
+
+    @property
+    def data(self) -> Numbers: ...  # (S, S) the frame after its low pass
+    @property
+    def full(self) -> NDArray[np.bool_]: ...  # (S, S) pixels of which only a least value is known
+    @property
+    def slopes(self) -> Numbers: ...  # (3, S, S)
+    @property
+    def bumps(self) -> Numbers: ...  # (9, S, S)
+    @property
+    def gaussians(self) -> tuple[tuple[float, float], ...]: ...  # weight, sigma (px) of what blurs a drawing
+    @property
+    def offset(self) -> Numbers: ...  # (Q - 1,) log of each positive plane's share of the gain
+    @property
+    def mean(self) -> Numbers: ...  # (Q - 1 + 6 + ...,): positives, gain, even, hidden, sky (3), speckle, shifts
+    @property
+    def precision(self) -> Numbers: ...  # the same of their precisions
+    @property
+    def noise(self) -> float: ...  # variance of a pixel of empty sky
+    @property
+    def photon(self) -> float: ...  # variance per count
+    @property
+    def hidden(self) -> float: ...  # counts
+    @property
+    def area(self) -> float: ...
+    @property
+    def wrong(self) -> float: ...  # c tau^2
+    @property
+    def edge(self) -> float: ...  # px
+    @property
+    def width(self) -> float: ...  # px
+    @property
+    def gain(self) -> float: ...  # log
+    @property
+    def speckle(self) -> bool: ...
+    @property
+    def shifts(self) -> bool: ...
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Of N poses."""
+
+    log_evidence: NDArray[np.float64]  # (N,)
+    chi2: NDArray[np.float64]  # (N,)
+    coefficients: Numbers  # (N, Q) what ``ShadedBody.combined`` draws the same light with
+
+
+@dataclass(frozen=True)
+class Details:
+    """Of one pose, for Gauss-Newton."""
+
+    residual: Numbers  # (S, S)
+    weight: Numbers  # (S, S) over A
+    model: Numbers
+    light: Numbers
+    columns: Numbers  # (M, S, S)
+    precision: NDArray[np.float64]  # (M,)
+    deviation: NDArray[np.float64]  # (M,)
+
+
+class LightEvidence:
+    """One OpenCL device. Owned, used and closed by one thread."""
+
+    def __init__(self, report: DeviceReport) -> None:
+        self.name = f"opencl:evidence:{report.name}"
+        with device_errors(self.name):
+            self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
+            self._context = self._queue.context
+            self._kernel = cl.Kernel(build(self._context, "lanes.cl", "evidence.cl"), "evidence")
+        self._memory: tuple[int, cl.Buffer] | None = None
+
+    def evidence(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int) -> Answers:
+        """``planes`` (N, Q, S, S): groups, even light, gloss of groups."""
+        return self._run(planes, n_groups, terms, rounds, None)
+
+    def details(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int) -> tuple[Answers, list[Details]]:
+        """The same, and what each pose's curvature is made of."""
+        n, n_planes, side, _ = planes.shape
+        unknowns, pixels = self._unknowns(n_planes, terms), side * side
+        out = np.empty((n, LANES + (4 + unknowns) * pixels + 2 * unknowns), np.float32)
+        answers = self._run(planes, n_groups, terms, rounds, out)
+        return answers, [_details(row, unknowns, side) for row in out]
+
+    def close(self) -> None:
+        """Wait for the device and give its memory back."""
+        self._queue.finish()
+        self._memory = None
+
+    @staticmethod
+    def _unknowns(n_planes: int, terms: Terms) -> int:
+        return n_planes - 1 + 6 + HERMITE * terms.speckle + 2 * BUMPS * terms.shifts
+
+    def _run(
+        self, planes: Numbers, n_groups: int, terms: Terms, rounds: int, details: Numbers | None
+    ) -> Answers:
+        n, n_planes, side, _ = planes.shape
+        if side % LANES:
+            raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
+        unknowns, pixels = self._unknowns(n_planes, terms), side * side
+        taps = [_taps(sigma) for _, sigma in terms.gaussians]
+        longest = -(-(side + 2 * max(len(t) for t in taps) + 2 * LANES) // LANES) * LANES
+        doubles = unknowns * unknowns + 4 * unknowns
+        each = 2 * doubles + unknowns * pixels + 9 * pixels + longest + 7 * unknowns + LANES
+        each = -(-each // 64) * 64
+        out, drawn = np.empty((n, 4), np.float32), np.empty((n, n_planes), np.float32)
+        if n == 0:
+            return Answers(np.empty(0), np.empty(0), drawn)
+        items = min(n, int(self._queue.device.max_compute_units))
+        with device_errors(self.name):
+            flags = cl.mem_flags
+            held = np.ascontiguousarray(planes, np.float32)
+            given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
+            arrays = (terms.offset, terms.mean, terms.precision, terms.data, terms.full.astype(np.uint8))
+            weights = np.array([w for w, _ in terms.gaussians], np.float32)
+            radii = np.array([len(t) // 2 for t in taps], np.int32)
+            arrays += (terms.slopes, terms.bumps, weights, radii, np.concatenate(taps))
+            inputs = [constant(self._context, np.ascontiguousarray(a)) for a in arrays]
+            sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, len(taps))
+            scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.wrong, terms.edge**2)
+            scalars += (terms.width, terms.gain)
+            result, coefficients = (cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in (out, drawn))
+            more = None if details is None else cl.Buffer(self._context, flags.WRITE_ONLY, details.nbytes)
+            head = (given, np.int32(n), *inputs, *(np.int32(v) for v in sizes), *(np.float32(v) for v in scalars))
+            tail = (self._scratch(4 * each * items), np.int32(each), np.int32(longest))
+            counter = constant(self._context, np.zeros(1, np.int32))
+            self._kernel(self._queue, (items,), (1,), *head, result, coefficients, more, *tail, counter)
+            cl.enqueue_copy(self._queue, out, result)
+            cl.enqueue_copy(self._queue, drawn, coefficients)
+            if more is not None and details is not None:
+                cl.enqueue_copy(self._queue, details, more)
+        return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn)
+
+    def _scratch(self, size: int) -> cl.Buffer:
+        if self._memory is None or self._memory[0] < size:
+            self._memory = None
+            self._memory = size, cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
+        return self._memory[1]
+
+
+def open_evidence(kind: str = "cpu") -> LightEvidence:
+    """On the first usable device of this kind. Raises ``DeviceError`` where OpenCL has none."""
+    for report in find_devices():
+        if report.rejected is None and report.kind == kind:
+            return LightEvidence(report)
+    raise DeviceError(f"no {kind.upper()} is an OpenCL device: {no_device_reason() or 'others are'}")
+
+
+def _details(row: Numbers, unknowns: int, side: int) -> Details:
+    """One pose's row, as the kernel lays it out."""
+    count, pixels = int(row[0]), side * side
+    maps = row[LANES : LANES + 4 * pixels].reshape(4, side, side)
+    rest = row[LANES + 4 * pixels :]
+    tail = rest[unknowns * pixels :].astype(np.float64)
+    columns = rest[: count * pixels].reshape(count, side, side)
+    return Details(*maps, columns, tail[:count], tail[unknowns : unknowns + count])
+
+
+def _taps(sigma: float) -> Numbers:
+    radius = max(1, int(np.ceil(_REACH * sigma)))
+    taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / max(sigma, 1e-3)) ** 2)
+    return np.asarray(taps / taps.sum(), np.float32)
