@@ -1,0 +1,180 @@
+"""How long sunlit drawing takes, in each of its ways, and how far it agrees with its twin in NumPy."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import MARKDOWN
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from gpu.coarse_mesh import coarse_mesh
+from gpu.mesh import Mesh
+from gpu.shaded import ShadedBody, open_shaded
+from gpu.shaded_reference import Drawing, reference_planes
+from gpu.surface_groups import surface_groups
+
+FILL = 0.48  # of the patch: the body's radius in it
+AGREES = 0.02  # of full light: pixels that differ by less are the same
+GLOSS = (20.0,)
+_SHORTEST_S = 0.05  # a call below this is measured with more poses
+
+
+@dataclass(frozen=True)
+class LightPlan:
+    """What is drawn, and how often."""
+
+    side: int = 64
+    supersample: int = 3
+    shadow_px: int = 256
+    template_side: int = 32
+    template_supersample: int = 2
+    template_shadow_px: int = 128
+    poses: int = 400
+    repeats: int = 5
+    compared: int = 6  # poses of which the twin is asked
+    seed: int = 0
+    coarse: bool = True  # draw the mesh for this size, not the file's
+
+
+@dataclass(frozen=True)
+class LightRow:
+    """One way of drawing one mesh. Times are the shortest of the repeats, over all cores together."""
+
+    mesh: str
+    faces: int  # of the file
+    drawn_faces: int
+    way: str
+    side: int
+    shadow_px: int
+    us_per_pose: float
+    agreement: float | None  # share of covered pixels that agree with the twin on what is drawn
+
+
+def bench_light(bodies: Mapping[str, Mesh], plan: LightPlan, say: Callable[[str], None]) -> list[LightRow]:
+    """Rows of all bodies. Raises ``DeviceError`` where no CPU is an OpenCL device."""
+    rows = []
+    for name, mesh in bodies.items():
+        say(f"{name}: {mesh.n_faces} faces")
+        rows += _planes_rows(name, mesh, plan)
+        rows.append(_template_row(name, mesh, plan))
+    return rows
+
+
+def light_document(machine: Mapping[str, Any], rows: Sequence[LightRow]) -> dict[str, Any]:
+    """The JSON: ``machine``, ``rows``."""
+    return {"machine": dict(machine), "rows": [asdict(row) for row in rows], "absent": {}}
+
+
+def light_table(rows: Sequence[LightRow]) -> Table:
+    """A line per mesh and way."""
+    table = Table(title="µs per pose", title_justify="left", box=MARKDOWN)
+    for name in ("mesh", "faces", "drawn", "way", "px", "shadow px", "µs", "agrees"):
+        table.add_column(name, justify="left" if name in ("mesh", "way") else "right", no_wrap=True)
+    for row in rows:
+        agrees = "-" if row.agreement is None else f"{row.agreement:.4f}"
+        cells = (row.mesh, f"{row.faces:,}", f"{row.drawn_faces:,}", row.way, str(row.side), str(row.shadow_px))
+        table.add_row(*cells, f"{row.us_per_pose:.1f}", agrees)
+    return table
+
+
+def views(mesh: Mesh, count: int, side: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """(N, P, 3, 4) transforms: turned at random, in the middle of the patch."""
+    out = np.zeros((count, len(mesh.parts), 3, 4), np.float32)
+    turns = Rotation.random(count, random_state=rng).as_matrix()
+    out[..., :3] = (FILL * side / mesh.radius) * turns[:, None]
+    out[..., :2, 3] = 0.5 * side
+    return out
+
+
+def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
+    side, supersample, shadow_px = plan.side, plan.supersample, plan.shadow_px
+    drawn, groups = _prepared(mesh, side, plan)
+    body, rng = open_shaded(drawn, groups), np.random.default_rng(plan.seed)
+    given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
+    shares = np.append(np.linspace(0.5, 1.0, body.n_groups), 0.04)
+    few = max(1, plan.poses // 8)
+
+    def planes(n: int) -> NDArray[np.float32]:
+        sizes = {"side": side, "supersample": supersample, "shadow_px": shadow_px}
+        return body.planes(given[:n], suns[:n], **sizes, gloss=GLOSS)
+
+    def combined(n: int, texels: int) -> NDArray[np.float32]:
+        return body.combined(given[:n], suns[:n], shares, side=side, supersample=supersample, shadow_px=texels)
+
+    agreement = _agreement(body, (drawn, groups), given[: plan.compared], suns[: plan.compared], plan)
+    ways: tuple[tuple[str, int, Callable[[], object], int, float | None], ...] = (
+        ("planes", shadow_px, lambda: planes(few), few, agreement),
+        ("combined", shadow_px, lambda: combined(plan.poses, shadow_px), plan.poses, None),
+        ("combined", 0, lambda: combined(plan.poses, 0), plan.poses, None),
+    )
+    rows = [
+        LightRow(name, mesh.n_faces, drawn.n_faces, way, side, texels, _us(draw, n, plan.repeats), agrees)
+        for way, texels, draw, n, agrees in ways
+    ]
+    body.close()
+    return rows
+
+
+def _template_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
+    side, texels = plan.template_side, plan.template_shadow_px
+    drawn, groups = _prepared(mesh, side, plan)
+    body, rng = open_shaded(drawn, groups), np.random.default_rng(plan.seed)
+    given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
+
+    def pictures() -> object:
+        return body.pictures(given, suns, side=side, supersample=plan.template_supersample, shadow_px=texels)
+
+    spent = _us(pictures, plan.poses, plan.repeats)
+    body.close()
+    return LightRow(name, mesh.n_faces, drawn.n_faces, "templates", side, texels, spent, None)
+
+
+def _prepared(mesh: Mesh, side: int, plan: LightPlan) -> tuple[Mesh, NDArray[np.int32]]:
+    groups = surface_groups(mesh)
+    return coarse_mesh(mesh, groups, FILL * side) if plan.coarse else (mesh, groups)
+
+
+def _suns(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """(N, 3) unit vectors at phase angles below 120 degrees."""
+    suns = rng.normal(size=(4 * count, 3))
+    suns /= np.linalg.norm(suns, axis=1, keepdims=True)
+    return np.resize(suns[suns[:, 2] < 0.5], (count, 3))
+
+
+def _agreement(
+    body: ShadedBody,
+    drawn: tuple[Mesh, NDArray[np.int32]],
+    given: NDArray[np.float32],
+    suns: NDArray[np.float64],
+    plan: LightPlan,
+) -> float | None:
+    """Share of the pixels that show the body in which no plane differs from the twin's by ``AGREES``."""
+    if len(given) == 0:
+        return None
+    drawing = Drawing(plan.side, plan.supersample, plan.shadow_px, GLOSS)
+    wanted = reference_planes(*drawn, given, suns, drawing)
+    found = body.planes(
+        given, suns, side=plan.side, supersample=plan.supersample, shadow_px=plan.shadow_px, gloss=GLOSS
+    )
+    covered = wanted[:, body.n_groups] > 0
+    same = np.abs(found - wanted).max(axis=1) < AGREES
+    return float(same[covered].mean())
+
+
+def _us(draw: Callable[[], object], poses: int, repeats: int) -> float:
+    """Microseconds per pose, the shortest of the repeats."""
+    draw()  # builds what is built once
+    spent = []
+    for _ in range(repeats):
+        calls, start = 0, time.perf_counter()
+        while calls == 0 or time.perf_counter() - start < _SHORTEST_S:
+            draw()
+            calls += 1
+        spent.append((time.perf_counter() - start) / (calls * poses))
+    return 1e6 * min(spent)
