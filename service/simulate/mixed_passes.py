@@ -26,7 +26,8 @@ _SIGNAL_E = (500.0, 4000.0)
 _CHANCE_8_BITS, _CHANCE_DAY = 0.46, 0.08  # else 16 bits; by day the air is calm
 _CHANCE_TURBULENT = 0.25
 _CHANCE_JOINTS_MOVE = 0.6
-_LIKELY_PHASE_DEG, _MOST_PHASE_DEG = 20.0, 110.0
+_MOST_PHASE_DEG, _PHASE_POWER = 110.0, 1.5  # the power makes small ones likelier
+_STAR_RATE_PX_S = (-45.0, 25.0)
 _SEEDS = 0x6D697865
 _STEPS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0])
 
@@ -76,7 +77,8 @@ def _camera(even: _Even, turbulent: bool) -> Camera:
             electrons_per_count=6.0,
             bias_counts=8.0,
             stars=30,
-            star_e=600.0,
+            star_e=1500.0,
+            star_rate_px_s=_STAR_RATE_PX_S,
         )
     if even.sensor < 1.0 - _CHANCE_DAY or turbulent:
         return Camera(
@@ -88,7 +90,8 @@ def _camera(even: _Even, turbulent: bool) -> Camera:
             electrons_per_count=1.5,
             bias_counts=300.0,
             stars=30,
-            star_e=1000.0,
+            star_e=2500.0,
+            star_rate_px_s=_STAR_RATE_PX_S,
         )
     return Camera(
         colour=True,
@@ -107,7 +110,7 @@ def _light(rng: np.random.Generator, even: _Even) -> Light:
     earth = rng.standard_normal(3)
     x, y, z = (float(value) for value in earth / np.linalg.norm(earth))
     return Light(
-        phase_deg=_triangular(even.phase, _LIKELY_PHASE_DEG, _MOST_PHASE_DEG),
+        phase_deg=_MOST_PHASE_DEG * even.phase**_PHASE_POWER,
         sun_roll_deg=float(rng.uniform(0.0, 360.0)),
         ambient=0.0,
         earth=float(rng.uniform(0.02, 0.12)),
@@ -142,10 +145,3 @@ def _between(share: float, low: float, high: float) -> float:
 
 def _log_between(share: float, low: float, high: float) -> float:
     return float(low * (high / low) ** share)
-
-
-def _triangular(share: float, peak: float, high: float) -> float:
-    """Value below which this share of a triangular distribution from 0 lies."""
-    if share < peak / high:
-        return float(np.sqrt(share * high * peak))
-    return float(high - np.sqrt((1.0 - share) * high * (high - peak)))
