@@ -31,10 +31,12 @@ _FEWEST = 64  # faces of a part from which on it is worth the work
 _THRESHOLD = float(np.finfo(np.float64).eps)  # of the square error, in the library's units, in its lossless mode
 
 
-def coarse_mesh(mesh: Mesh, groups: NDArray[np.integer], radius_px: float) -> tuple[Mesh, NDArray[np.int32]]:
+def coarse_mesh(
+    mesh: Mesh, groups: NDArray[np.integer], radius_px: float, *, error_px: float = ERROR_PX
+) -> tuple[Mesh, NDArray[np.int32]]:
     """The mesh for pictures in which its radius is ``radius_px``, and the groups (F',) of its faces.
 
-    ``groups`` (F,) are those of the mesh's faces. Parts keep their order, names and places.
+    ``groups`` (F,) are those of the mesh's faces. Parts keep their order, names and places; no group is lost.
     """
     pixel = mesh.radius / radius_px
     place, _ = merged_pieces(mesh)
@@ -47,7 +49,7 @@ def coarse_mesh(mesh: Mesh, groups: NDArray[np.integer], radius_px: float) -> tu
     parts, kept = [], []
     for number, (part, whole, views) in enumerate(zip(mesh.parts, wholes, shown, strict=True)):
         own = groups[mesh.part_of == number]
-        found = _coarse_part(whole, own, views, least) if len(own) >= _FEWEST else None
+        found = _coarse_part(whole, own, views, least, error_px * pixel) if len(own) >= _FEWEST else None
         simpler, group = found if found is not None else ((part.vertices, part.faces.astype(np.int64)), own)
         parts.append(Part(part.name, simpler[0], simpler[1].astype(np.int32)))
         kept.append(group)
@@ -59,7 +61,6 @@ class _Views:
     """A part's silhouettes from ``VIEWS`` sides, and what others of it change in them."""
 
     def __init__(self, whole: Piece, pixel: float) -> None:
-        self.pixel = pixel
         self._middle = 0.5 * (whole[0].min(axis=0) + whole[0].max(axis=0))
         radius = float(np.linalg.norm(whole[0] - self._middle, axis=1).max())
         self._side = int(np.ceil(2.0 * _SAMPLES * radius / pixel)) + 2
@@ -77,10 +78,9 @@ class _Views:
 
 
 def _coarse_part(
-    whole: Piece, groups: NDArray[np.integer], views: _Views, least: float
+    whole: Piece, groups: NDArray[np.integer], views: _Views, least: float, size: float
 ) -> tuple[Piece, NDArray[np.integer]] | None:
     """The coarser of two that keeps the part's silhouette, and its faces' groups; None where neither does."""
-    size = ERROR_PX * views.pixel
     flat = _in_groups(*whole, groups, lambda piece: _collapsed(piece, size))
     joined = _in_groups(*flat[0], flat[1], lambda piece: _clustered(piece, size))
     for piece, group in (joined, flat):

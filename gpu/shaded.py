@@ -18,7 +18,7 @@ from gpu.shaded_views import SIDE, views_of_parts
 
 Numbers = NDArray[np.float32]
 EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
-FILES = ("lanes.cl", "shaded_faces.cl", "shaded.cl")
+FILES = ("lanes.cl", "shaded_faces.cl", "shaded_light.cl", "shaded.cl")
 _GPU_ITEMS = 1024
 _GPU_BYTES = 1 << 29
 

@@ -74,7 +74,8 @@ def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floa
     half_way = sun + _CAMERA
     half_way /= max(float(np.linalg.norm(half_way)), 1e-12)
     for k, exponent in enumerate(drawing.gloss):
-        planes[n_groups * (1 + k) + 1 + groups[face], rows, columns] = lit * np.maximum(normal @ half_way, 0.0)[face] ** exponent
+        shine = np.maximum(normal @ half_way, 0.0)[face] ** exponent
+        planes[n_groups * (1 + k) + 1 + groups[face], rows, columns] = lit * shine
     size = (drawing.side, drawing.supersample)
     return np.asarray(planes.reshape(len(planes), *size, *size).mean(axis=(2, 4)))
 

@@ -180,7 +180,8 @@ static void find_runs(const Faces *faces, const int k, const int row, const int 
 
 // Draws face k. A narrow one, as most are: sixteen columns after sixteen, all its rows, against all edges.
 #define DRAW_FACE(NAME, TYPE, KEEP, ...) \
-static void NAME(const Faces *faces, const int k, const int width, __global TYPE *picture, const int stride, __VA_ARGS__) \
+static void NAME( \
+    const Faces *faces, const int k, const int width, __global TYPE *picture, const int stride, __VA_ARGS__) \
 { \
     const int top = faces->top[k], bottom = faces->bottom[k], left = faces->left[k] & -LANES, right = faces->right[k]; \
     const float right_z = faces->right_z[k], down_z = faces->down_z[k]; \
