@@ -1,0 +1,160 @@
+"""The part of a frame that holds the object's light, above the sky, at the resolution that the model is drawn in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.imaging.background import Sky
+
+Map = NDArray[np.float32]
+
+DETECTION_SIGMAS = 5.0
+"""Light counts as detected from here on, after a smoothing by one pixel: one false pixel in a few million."""
+_SMOOTH_PX = 1.0
+_SMOOTHED_SIGMA = 1.0 / (2.0 * np.sqrt(np.pi) * _SMOOTH_PX)  # of white noise of unit variance after it
+_LEAST_AREA_PX = 9
+_NEAR = 0.35  # components nearer than this share of the object's diagonal belong to it: booms and panels half in shadow
+_STAR_PX = 11  # extent of a bright star above the threshold
+_NEAR_STAR = 0.06  # share of the diagonal within which even something so small belongs to the object
+_LEAST_BRIGHT_PX = 64
+_MARGIN = 0.3  # sky on each side of the light, as a share of its longer side
+_LEAST_MARGIN_PX = 8
+
+
+@dataclass(frozen=True)
+class Light:
+    """A frame's light above the empty sky, (H, W), all channels as one; counts."""
+
+    image: Map
+    sigma: float  # noise of one pixel of empty sky, counts
+    photon: float  # variance per count of light, counts
+    hidden: float  # most light of the sky that a body can hide, counts
+    censored: NDArray[np.bool_]  # at the sensor's upper end: at least so much
+
+
+@dataclass(frozen=True)
+class Box:
+    """Where the object's light is, frame pixels (outer corners)."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    @property
+    def side(self) -> float:
+        """The longer side, px."""
+        return max(self.right - self.left, self.bottom - self.top)
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Its middle, px."""
+        return 0.5 * (self.left + self.right), 0.5 * (self.top + self.bottom)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A square of the frame in squares of ``binning`` px, its first corner at ``origin``; counts per frame pixel."""
+
+    image: Map  # (S, S)
+    sigma: float  # noise of one patch pixel
+    photon: float
+    hidden: float
+    censored: NDArray[np.bool_]  # (S, S)
+    origin: tuple[float, float]  # frame px
+    binning: int
+
+    @property
+    def side(self) -> int:
+        """S."""
+        return len(self.image)
+
+
+def light_of(image: NDArray[np.generic], sky: Sky, bits: int) -> Light:
+    """The light above the sky: channels weighed by their precision, so that the noise of the sum is least."""
+    data = np.asarray(image, np.float32)
+    data = data[..., None] if data.ndim == 2 else data
+    weight = 1.0 / sky.sigma.astype(np.float64) ** 2
+    weight /= weight.sum()
+    above = ((data - sky.mean) @ weight).astype(np.float32)
+    sigma = float(np.sqrt(np.sum((weight * sky.sigma) ** 2)))
+    photon = _photon_transfer(above, sigma)
+    level = max(float(np.median(sky.mean @ weight)), 0.0)
+    hidden = min(level, sigma**2 / photon)
+    top = data.max(axis=2)
+    censored = top >= (1 << bits) - 1
+    return Light(above, sigma, photon, hidden, censored)
+
+
+def _photon_transfer(above: Map, sigma: float) -> float:
+    """Variance per count of light, from the finest checkerboard, to which the point spread lets little through.
+
+    Edges leak into it, so its lower quartile is believed (0.1015 of a Gaussian's variance). Where the frame has too
+    little light to tell, a thousandth of the sky's own noise.
+    """
+    fine = cv2.filter2D(above, cv2.CV_32F, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6.0)
+    local = cv2.GaussianBlur(above, (0, 0), 1.5)
+    bright = local > 6 * sigma
+    least = 1e-3 * sigma
+    if np.count_nonzero(bright) < _LEAST_BRIGHT_PX:
+        return least
+    square, light = fine[bright] ** 2, local[bright]
+    slopes = np.geomspace(least, sigma, 40)
+    quartile = np.array([np.quantile(square / (sigma**2 + slope * light), 0.25) for slope in slopes])
+    return float(slopes[np.argmin(np.abs(quartile - 0.1015))])
+
+
+def find_light(light: Light) -> Box | None:
+    """The box of the brightest connected light and of what lies near it; dark as well as light. None: empty sky."""
+    z = light.image / np.float32(light.sigma)
+    smooth = np.abs(cv2.GaussianBlur(z, (0, 0), _SMOOTH_PX)) / np.float32(_SMOOTHED_SIGMA)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((smooth > DETECTION_SIGMAS).astype(np.uint8))
+    total = np.bincount(labels.ravel(), weights=smooth.ravel(), minlength=count)[1:]
+    boxes = np.column_stack([stats[1:, 0], stats[1:, 1], stats[1:, 0] + stats[1:, 2], stats[1:, 1] + stats[1:, 3]])
+    large = stats[1:, cv2.CC_STAT_AREA] >= _LEAST_AREA_PX
+    if not large.any():
+        return None
+    boxes, total = boxes[large].astype(np.float64), total[large]
+    whole = boxes[np.argmax(total)]
+    extent = (boxes[:, 2:] - boxes[:, :2]).max(axis=1)
+    share = np.where(extent <= _STAR_PX, _NEAR_STAR, _NEAR)  # a star is no boom
+    rest = np.ones(len(boxes), dtype=bool)
+    while True:
+        diagonal = float(np.hypot(whole[2] - whole[0], whole[3] - whole[1]))
+        gap = np.maximum(np.maximum(boxes[:, :2] - whole[2:], whole[:2] - boxes[:, 2:]), 0.0)
+        near = rest & (np.linalg.norm(gap, axis=1) <= share * diagonal)
+        if not near.any():
+            break
+        rest &= ~near
+        found = boxes[near]
+        whole = np.concatenate([np.minimum(whole[:2], found[:, :2].min(0)), np.maximum(whole[2:], found[:, 2:].max(0))])
+    return Box(*(float(v) for v in whole))
+
+
+def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float) -> Patch:
+    """The square around ``centre`` that holds a body spanning ``span_px``, binned so that it spans about ``wanted``."""
+    binning = max(1, round(span_px / wanted))
+    margin = max(_MARGIN * span_px, _LEAST_MARGIN_PX * binning)
+    side = int(np.ceil((span_px + 2 * margin) / binning))
+    side += -side % 16  # rows of whole lanes
+    first = [int(np.floor(c - 0.5 * side * binning)) for c in centre]
+    height, width = light.image.shape
+    columns, rows = (first[k] + np.arange(side * binning) for k in (0, 1))
+    inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
+    index = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
+    image = np.where(inside, light.image[index], 0.0).astype(np.float32)
+    censored = light.censored[index] | ~inside
+    blocks = (side, binning, side, binning)
+    return Patch(
+        image=image.reshape(blocks).mean(axis=(1, 3)),
+        sigma=light.sigma / binning,
+        photon=light.photon / binning**2,
+        hidden=light.hidden,
+        censored=censored.reshape(blocks).any(axis=(1, 3)),
+        origin=(float(first[0]), float(first[1])),
+        binning=binning,
+    )

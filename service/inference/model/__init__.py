@@ -1,0 +1,1 @@
+"""What is believed: the equations of docs/model.md, one module each."""

@@ -1,0 +1,120 @@
+"""What the likelihood needs of the room that draws: lit pictures of many poses on one patch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.articulation import Articulation, part_transforms
+from service.inference.model.prior import GLOSS_LOBES
+from service.inference.state import Array, Poses
+
+Images = NDArray[np.float32]
+
+
+class Shaded(Protocol):
+    """``gpu.shaded.ShadedBody``."""
+
+    def planes(
+        self,
+        part_transforms: NDArray[np.float32],
+        towards_sun: Array,
+        *,
+        side: int,
+        supersample: int,
+        shadow_px: int,
+        gloss: tuple[float, ...] = ...,
+    ) -> Images:
+        """(N, P, 3, 4) transforms to the patch -> (N, Q, side, side): groups, even light, gloss of groups."""
+        ...
+
+    def combined(
+        self,
+        part_transforms: NDArray[np.float32],
+        towards_sun: Array,
+        coefficients: Array,
+        *,
+        side: int,
+        supersample: int,
+        shadow_px: int,
+        gloss: tuple[float, ...] = ...,
+    ) -> Images:
+        """(N, P, 3, 4) transforms and (Q,) coefficients -> (N, side, side) sums of the planes."""
+        ...
+
+
+class Evidence(Protocol):
+    """``gpu.evidence.LightEvidence``; its twin is ``service.inference.model.likelihood.fit_light``."""
+
+    def evidence(self, planes: Images, n_groups: int, terms: Any, rounds: int) -> Any:
+        """(N, Q, S, S) planes -> ``log_evidence``, ``chi2`` (N,) and ``coefficients`` (N, Q)."""
+        ...
+
+    def details(self, planes: Images, n_groups: int, terms: Any, rounds: int) -> tuple[Any, Any]:
+        """The same of one pose, and what its curvature is made of."""
+        ...
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How finely a body is drawn: numerical tolerances."""
+
+    supersample: int
+    shadow_px: int
+    gloss: tuple[float, ...] = GLOSS_LOBES
+
+
+FINE = Quality(supersample=4, shadow_px=512)
+COARSE = Quality(supersample=3, shadow_px=192)
+
+
+@dataclass(frozen=True)
+class View:
+    """A square of the frame: its first corner (frame px), frame px per patch px, patch px a side."""
+
+    origin: tuple[float, float]
+    binning: float
+    side: int
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A body, articulated, that can be drawn on patches."""
+
+    shaded: Shaded
+    light: Evidence
+    articulation: Articulation
+    n_groups: int
+    radius: float  # model units
+
+    def transforms(self, poses: Poses, view: View) -> NDArray[np.float32]:
+        """(N, P, 3, 4) to the patch's own pixels."""
+        out = part_transforms(self.articulation, poses)
+        out[:, :, :2, 3] -= np.asarray(view.origin, np.float32)
+        return np.ascontiguousarray(out / np.float32(view.binning))
+
+    def planes(self, poses: Poses, sun: Array, view: View, quality: Quality) -> Images:
+        """(N, Q, S, S) pictures of each surface group, of the body under an even light, and of its gloss."""
+        return self.shaded.planes(
+            self.transforms(poses, view),
+            sun,
+            side=view.side,
+            supersample=quality.supersample,
+            shadow_px=quality.shadow_px,
+            gloss=quality.gloss,
+        )
+
+    def combined(self, poses: Poses, sun: Array, coefficients: Array, view: View, quality: Quality) -> Images:
+        """(N, S, S) pictures with every surface's light as ``coefficients`` (Q,) have it."""
+        return self.shaded.combined(
+            self.transforms(poses, view),
+            sun,
+            coefficients,
+            side=view.side,
+            supersample=quality.supersample,
+            shadow_px=quality.shadow_px,
+            gloss=quality.gloss,
+        )

@@ -1,0 +1,307 @@
+"""log p(D|theta) of docs/model.md, section 3: the light of one pose against one patch, all linear unknowns integrated out.
+
+The readable twin of ``gpu/kernels/evidence.cl``; NumPy, one pose at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import factorial, lgamma, log, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.model import prior
+from service.inference.model.spread import PointSpread, spread
+from service.inference.state import Array
+
+Images = NDArray[np.float32]
+_NU = prior.DEGREES_OF_FREEDOM
+_T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)
+ROUNDS = 6  # of reweighting: a tolerance, the evidence moves by less than 0.1 nats after it
+LEAST_LIT = 1e-4  # of the Sun full on: a plane that shows less is left out
+_LONGEST_STEP = 1.5  # of a log albedo in one round
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One patch as the likelihood sees it: what is fixed before poses are compared."""
+
+    image: Images  # (S, S) light above the sky, counts
+    sigma: float  # noise of one pixel of empty sky, counts
+    photon: float  # variance per count
+    hidden: float  # light of the sky that a body can hide at the most, counts
+    censored: NDArray[np.bool_]  # (S, S)
+    point_spread: PointSpread
+    discrepancy: float = prior.DISCREPANCY  # tau
+    shifts: bool = True  # whether speckle and image shifts are unknowns: not worth their time in a coarse look
+    low_pass: float = 0.0  # l, px; 0: as the point spread asks
+    light: prior.LightPrior = prior.LightPrior()
+
+    @property
+    def side(self) -> int:
+        """S."""
+        return len(self.image)
+
+    @cached_property
+    def smoothing(self) -> float:
+        """l, px."""
+        return self.low_pass or prior.LOW_PASS_SHARE * self.point_spread.width
+
+    @cached_property
+    def data(self) -> Images:
+        """(S, S) the frame after its low pass."""
+        return spread(self.image[None], PointSpread(0.0), self.smoothing)[0]
+
+    @cached_property
+    def area(self) -> float:
+        """A: pixels that count as one."""
+        taps = np.exp(-0.5 * (np.arange(-64, 65) / max(self.smoothing, 1e-3)) ** 2)
+        taps /= taps.sum()
+        return float(1.0 / np.sum(taps**2) ** 2)
+
+    @cached_property
+    def alike(self) -> float:
+        """c: pixels' areas over which the discrepancy is alike."""
+        return max(prior.DISCREPANCY_LEAST, prior.DISCREPANCY_LENGTH**2 / self.area)
+
+    @cached_property
+    def full(self) -> NDArray[np.bool_]:
+        """(S, S) pixels of which only a least value is known."""
+        return spread(self.censored.astype(np.float32)[None], PointSpread(0.0), self.smoothing)[0] > 0.05
+
+    @cached_property
+    def gain(self) -> float:
+        """Log gain to start from: that of the brighter light in the frame."""
+        return log(max(float(np.quantile(self.data, 0.99)), 3 * self.sigma))
+
+    @cached_property
+    def slopes(self) -> Images:
+        """(3, S, S) level and two slopes across the patch."""
+        axis = np.linspace(-1, 1, self.side, dtype=np.float32)
+        across, down = np.meshgrid(axis, axis)
+        return np.stack([np.ones_like(across), across, down])
+
+    @cached_property
+    def bumps(self) -> Images:
+        """(9, S, S) smooth bumps a third of the body apart: where the air shifts the image alike."""
+        middle = np.array([0.25, 0.5, 0.75]) * self.side
+        at = np.arange(self.side) + 0.5
+        line = np.exp(-0.5 * ((at[None] - middle[:, None]) / (0.2 * self.side)) ** 2)
+        return np.einsum("ai,bj->abij", line, line).reshape(9, self.side, self.side).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Terms:
+    """A scene and the priors of its unknowns as arrays, in the order in which the likelihood holds them.
+
+    Unknowns: log of each positive plane's brightness over its prior share of the gain (albedo of a group, gloss of a
+    group), log gain, even light, hidden sky, level and slopes of the sky, 12 of the point spread, 18 shifts.
+    """
+
+    scene: Scene
+    offset: Images  # (Q - 1,)
+    mean: Images
+    precision: Images
+    data: Images
+    full: NDArray[np.bool_]
+    slopes: Images
+    bumps: Images
+    gaussians: tuple[tuple[float, float], ...]
+    noise: float
+    photon: float
+    hidden: float
+    area: float
+    wrong: float
+    edge: float
+    width: float
+    gain: float
+    speckle: bool
+    shifts: bool
+
+
+def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
+    """The terms of a body of G groups whose drawings have Q planes."""
+    glossy = n_planes - 1 - n_groups
+    wings = scene.point_spread.wings
+    sigmas = [prior.ALBEDO_SIGMA] * n_groups + [prior.GLOSS_LOG_SIGMA] * glossy
+    sigmas += [prior.GAIN_SIGMA, scene.light.even_sigma, prior.HIDDEN_SIGMA] + [prior.SKY_SIGMAS * scene.sigma] * 3
+    means = [0.0] * (n_planes - 1) + [scene.gain, scene.light.even_mean, prior.HIDDEN_MEAN]
+    speckle, shifts = scene.shifts, scene.shifts and wings > 0
+    if speckle:
+        sigmas += [prior.HERMITE_SIGMA] * 12
+    if shifts:
+        sigmas += [prior.SHIFT_SHARE * wings] * 18
+    return Terms(
+        scene=scene,
+        offset=np.repeat(np.float32([0.0, log(prior.GLOSS_SHARE)]), [n_groups, glossy]),
+        mean=np.array(means + [0.0] * (len(sigmas) - len(means)), np.float32),
+        precision=(1.0 / np.array(sigmas) ** 2).astype(np.float32),
+        data=scene.data,
+        full=scene.full,
+        slopes=scene.slopes,
+        bumps=scene.bumps,
+        gaussians=scene.point_spread.gaussians(scene.smoothing),
+        noise=scene.sigma**2,
+        photon=scene.photon,
+        hidden=scene.hidden,
+        area=scene.area,
+        wrong=scene.alike * scene.discrepancy**2,
+        edge=prior.EDGE_PX,
+        width=scene.point_spread.width,
+        gain=scene.gain,
+        speckle=speckle,
+        shifts=shifts,
+    )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A pose's light at its best: ``gpu.evidence.Details`` and what goes with them."""
+
+    log_evidence: float
+    chi2: float  # mean square of residual over its scale, on the body
+    coefficients: Images  # (Q,) of the drawing's planes: what ``combined`` draws the same light with
+    residual: Images  # (S, S)
+    weight: Images  # (S, S) precision of a pixel, over A
+    model: Images  # (S, S) what the frame should look like after its low pass
+    light: Images  # (S, S) the body's part of it
+    columns: Images  # (M, S, S) derivatives of the model by the unknowns
+    precision: Array  # (M,) of the priors
+    deviation: Array  # (M,) of the unknowns from their prior means
+
+
+def t_log_density(residual: Images, variance: Images) -> Images:
+    """Student t with 4 degrees of freedom and scale squared ``variance``."""
+    return np.asarray(
+        _T_CONSTANT - 0.5 * np.log(variance) - 0.5 * (_NU + 1) * np.log1p(residual**2 / (_NU * variance)), np.float32
+    )
+
+
+def gradient(image: Images) -> tuple[Images, Images]:
+    """Central differences along x and y of (..., S, S)."""
+    dx, dy = np.zeros_like(image), np.zeros_like(image)
+    dx[..., :, 1:-1] = 0.5 * (image[..., :, 2:] - image[..., :, :-2])
+    dy[..., 1:-1, :] = 0.5 * (image[..., 2:, :] - image[..., :-2, :])
+    return dx, dy
+
+
+def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS) -> Fit:
+    """The linear unknowns of one pose by reweighted Gauss-Newton, and their Laplace evidence.
+
+    ``planes`` (Q, S, S) as drawn: G groups, even light, gloss of the groups.
+    """
+    scene = terms.scene
+    blurred = spread(planes, scene.point_spread, scene.smoothing)
+    positive = np.delete(np.arange(len(planes)), n_groups)
+    lit = np.flatnonzero(blurred[positive].max(axis=(1, 2)) > LEAST_LIT)
+    unknowns = _Unknowns(terms, blurred[positive[lit]], blurred[n_groups], lit)
+    for _ in range(rounds):
+        unknowns.step()
+    fit = unknowns.result()
+    gain = float(np.exp(unknowns.value[len(lit)]))
+    coefficients = np.empty(len(planes), np.float32)
+    coefficients[positive] = gain * np.exp(terms.offset)
+    coefficients[positive[lit]] *= np.exp(unknowns.value[: len(lit)]).astype(np.float32)
+    coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
+    return replace(fit, coefficients=coefficients)
+
+
+class _Unknowns:
+    """The unknowns of one pose in the order of ``Terms``, positives that show no light left out."""
+
+    def __init__(self, terms: Terms, positive: Images, even: Images, lit: NDArray[np.intp]) -> None:
+        self._terms, self._positive, self._even = terms, positive, even
+        first = len(terms.offset)
+        kept = np.concatenate([lit, np.arange(first, len(terms.mean))])
+        self._mean = terms.mean[kept].astype(np.float64)
+        self._precision = terms.precision[kept].astype(np.float64)
+        self._offset = terms.offset[lit].astype(np.float64)
+        self._n = len(lit)
+        self.value = self._mean.copy()
+        self._start_gain()
+
+    def _whole(self, shares: Array, even: float) -> Images:
+        """The body's light at a gain of one."""
+        return np.asarray(np.tensordot(shares.astype(np.float32), self._positive, 1) + np.float32(even) * self._even)
+
+    def _start_gain(self) -> None:
+        """Least squares for one albedo: everything else follows from there."""
+        whole = self._whole(np.exp(self._offset), self.value[self._n + 1])
+        power, likeness = float(np.sum(whole * whole)), float(np.sum(whole * self._terms.data))
+        if power > 0 and likeness > 0:
+            self.value[self._n] = np.clip(log(likeness / power), self._terms.gain - 4, self._terms.gain + 4)
+
+    def _model(self) -> tuple[Images, Images, Images]:
+        """Columns (M, S, S), the body's light, and the model."""
+        terms, n, value = self._terms, self._n, self.value
+        gain, shares = float(np.exp(value[n])), np.exp(value[:n] + self._offset)
+        light = np.float32(gain) * self._whole(shares, value[n + 1])
+        scaled = (gain * shares).astype(np.float32)[:, None, None] * self._positive
+        even = self._even[None]
+        more = [terms.slopes]
+        if terms.speckle:
+            more.append(deviations(light, terms.width))
+        if terms.shifts:
+            more += [terms.bumps * slope for slope in gradient(light)]
+        rest = np.concatenate(more)
+        model = light - np.float32(terms.hidden * value[n + 2]) * self._even
+        model = model + np.tensordot(value[n + 3 :].astype(np.float32), rest, 1)
+        columns = [scaled, light[None], np.float32(gain) * even, -np.float32(terms.hidden) * even, rest]
+        return np.concatenate(columns), light, np.asarray(model, np.float32)
+
+    def _look(self) -> tuple[Images, Images, Images, Images, Images, Images]:
+        """Columns, light, model, residual, its scale squared, and weights."""
+        terms = self._terms
+        columns, light, model = self._model()
+        dx, dy = gradient(light)
+        white = (terms.noise + terms.photon * np.maximum(light, 0)) / terms.area
+        variance = white + np.float32(terms.wrong) * (light**2 + np.float32(terms.edge**2) * (dx**2 + dy**2))
+        residual = terms.data - model
+        residual[terms.full & (residual < 0)] = 0.0  # at least so much light: more is no contradiction
+        weight = (_NU + 1) / ((_NU * variance + residual**2) * terms.area)
+        return columns, light, model, residual, np.asarray(variance, np.float32), np.asarray(weight, np.float32)
+
+    def step(self) -> None:
+        """One round: weights from the residual, then a Gauss-Newton step."""
+        columns, _, _, residual, _, weight = self._look()
+        flat = columns.reshape(len(columns), -1)
+        weighted = flat * weight.ravel()
+        normal = (weighted @ flat.T).astype(np.float64) + np.diag(self._precision)
+        pull = (weighted @ residual.ravel()).astype(np.float64) - self._precision * (self.value - self._mean)
+        move = np.linalg.solve(normal, pull)
+        move[: self._n + 1] = np.clip(move[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)
+        self.value = self.value + move
+
+    def result(self) -> Fit:
+        """The evidence where the steps ended."""
+        terms = self._terms
+        columns, light, model, residual, variance, weight = self._look()
+        flat = columns.reshape(len(columns), -1)
+        normal = ((flat * weight.ravel()) @ flat.T).astype(np.float64)
+        deviation, root = self.value - self._mean, np.sqrt(self._precision)
+        logdet = float(np.linalg.slogdet(normal / np.outer(root, root) + np.eye(len(root)))[1])
+        evidence = float(np.sum(t_log_density(residual, variance), dtype=np.float64)) / terms.area
+        evidence -= 0.5 * float(np.sum(self._precision * deviation**2)) + 0.5 * logdet
+        body = light**2 > terms.noise / terms.area
+        chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0
+        nothing = np.empty(0, np.float32)
+        return Fit(
+            evidence, chi2, nothing, residual, weight, model, light, columns, self._precision, deviation
+        )
+
+
+def deviations(light: Images, width: float) -> Images:
+    """(12, S, S) Gauss-Hermite deviations of the point spread, orders 2 to 4: s^n d^n I / sqrt(a! b!)."""
+    along: list[Images] = [light]
+    for _ in range(4):
+        along.append(gradient(along[-1])[0])
+    out = []
+    for order in (2, 3, 4):
+        for b in range(order + 1):
+            image = along[order - b]
+            for _ in range(b):
+                image = gradient(image)[1]
+            out.append(np.float32(width**order / sqrt(factorial(order - b) * factorial(b))) * image)
+    return np.stack(out)

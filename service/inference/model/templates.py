@@ -1,0 +1,100 @@
+"""Pictures of a body from all sides under one Sun, and the frame held against all of them at once.
+
+Each picture is brought to the same place and size by the moments of what is lit, so that a few shifts and scales of
+the frame are enough; the comparison is then one matrix product. The bank is good for as long as the Sun stands still.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.articulation import Articulation
+from service.inference.state import Array, Poses
+
+Images = NDArray[np.float32]
+
+SIDE = 32
+KINDS = ("light", "root", "lit", "edges", "outline")
+_RIM_PX = 7.5  # root mean square distance of lit pixels from their middle, in a template
+_EVEN = 0.04  # even light in the pictures
+_FIRST_SIDE = 24  # of the draft from which the moments are taken
+_LIT = 0.08  # of the brighter light: lit from here on
+_BLUR_PX = 1.0  # of the pictures: rotations lie 12 degrees apart
+"""Numerical: sizes of the pictures. None of them decides between poses; what follows the bank does."""
+
+
+@dataclass(frozen=True)
+class Bank:
+    """N templates."""
+
+    poses: Poses  # N; position: of the body's centre from the middle of the lit light, scale: both in template px
+    pictures: Images  # (kinds, N, SIDE * SIDE), zero mean, unit length
+
+
+@lru_cache(maxsize=8)
+def rotations(count: int) -> Array:
+    """(count, 4) rotations evenly over SO(3): super-Fibonacci spirals (Alexa, CVPR 2022)."""
+    s = np.arange(count) + 0.5
+    inner, outer = np.sqrt(s / count), np.sqrt(1 - s / count)
+    a, b = 2 * np.pi * s / np.sqrt(2), 2 * np.pi * s / 1.533751168755204288118041
+    out = np.column_stack([inner * np.sin(a), inner * np.cos(a), outer * np.sin(b), outer * np.cos(b)])
+    out.flags.writeable = False
+    return out
+
+
+def drawn_joints(articulation: Articulation, count: int) -> Array:
+    """(count, J) joint values evenly over their ranges (a Kronecker sequence)."""
+    steps = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0, 41.0, 43.0, 47.0, 53.0])
+    share = np.arange(count)[:, None] * np.resize(steps, articulation.n_joints)[None] % 1.0
+    low = np.array([joint.minimum for joint in articulation.joints])
+    high = np.array([joint.maximum for joint in articulation.joints])
+    return np.asarray(low + share * (high - low)).reshape(count, articulation.n_joints)
+
+
+def lit_moments(light: Images) -> tuple[Array, Array]:
+    """(N, S, S) -> centres (N, 2) x, y in px (outer corners) and root mean square radii (N,) of what is lit."""
+    top = np.quantile(light.reshape(len(light), -1), 0.99, axis=1)
+    lit = light > np.maximum(_LIT * top, 1e-6)[:, None, None]
+    at = np.arange(light.shape[-1]) + 0.5
+    total = np.maximum(lit.sum(axis=(1, 2)), 1)
+    across, down = lit.sum(axis=1), lit.sum(axis=2)
+    middle = np.column_stack([across @ at, down @ at]) / total[:, None]
+    square = (across @ at**2 + down @ at**2) / total - (middle**2).sum(axis=1)
+    return middle, np.sqrt(np.maximum(square, 0.25))
+
+
+def normalised(pictures: Images) -> Images:
+    """(N, S, S) -> (N, S * S) with zero mean and unit length; a flat picture becomes zeros."""
+    flat = pictures.reshape(len(pictures), -1)
+    flat = flat - flat.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(flat, axis=1, keepdims=True)
+    return np.asarray(np.where(length > 1e-6, flat / np.maximum(length, 1e-6), 0.0), np.float32)
+
+
+def kinds_of(light: Images, outline: Images) -> Images:
+    """(N, S, S) light and outline -> (kinds, N, S * S)."""
+    top = np.maximum(np.quantile(light.reshape(len(light), -1), 0.99, axis=1), 1e-6)[:, None, None]
+    scaled = np.clip(light / top, 0, 1.5).astype(np.float32)
+    root = np.sqrt(scaled)
+    lit = np.clip((scaled - _LIT) * 8 + 0.5, 0, 1)
+    edges = np.stack([_edges(image) for image in root]) if len(root) else root
+    return np.stack([normalised(_soft(p)) for p in (scaled, root, lit, edges, outline)])
+
+
+def _edges(image: Images) -> Images:
+    dx, dy = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    return np.asarray(cv2.magnitude(dx, dy), np.float32)
+
+
+def _soft(pictures: Images) -> Images:
+    """Blurred by ``_BLUR_PX``: all at once, one below the other."""
+    n, side = len(pictures), pictures.shape[-1]
+    tall = np.ascontiguousarray(pictures.reshape(n * side, side), np.float32)
+    across = cv2.GaussianBlur(tall, (0, 0), sigmaX=_BLUR_PX, sigmaY=1e-6)
+    turned = np.ascontiguousarray(across.reshape(n, side, side).transpose(0, 2, 1)).reshape(n * side, side)
+    return cv2.GaussianBlur(turned, (0, 0), sigmaX=_BLUR_PX, sigmaY=1e-6).reshape(n, side, side).transpose(0, 2, 1)

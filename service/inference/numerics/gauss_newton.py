@@ -1,0 +1,245 @@
+"""Poses at their best: Gauss-Newton on pose, joints and the Sun, with the linear unknowns of the light eliminated.
+
+Many poses climb at once: each round draws all their differences in one launch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.model.drawing import FINE, Drawing, Quality, View
+from service.inference.model.likelihood import ROUNDS, Fit, Scene, terms_of
+from service.inference.model.spread import spread
+from service.inference.pose import concatenate, retract
+from service.inference.state import Array, Poses
+
+_SUN_STEP = 0.03  # rad of a difference
+_ENOUGH = 0.1  # nats: a step that gains less is the last
+_SHORTER = 0.3  # of a step that did not climb
+_DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation")
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """What is known of a pose beside the frame."""
+
+    log_scale: float | None = None
+    log_scale_sigma: float = 0.03
+    towards_sun: Array | None = None  # (3,) unit
+    sun_sigma: float = 0.0175  # rad
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How far one step may go, as the standard deviations of a prior on it: linear no further."""
+
+    turn: float = 0.1  # rad
+    place: float = 0.1  # of the body's radius
+    log_scale: float = 0.1
+    joint: float = 0.15  # rad, or share of the range
+
+
+@dataclass(frozen=True)
+class Hill:
+    """What poses climb on."""
+
+    scene: Scene
+    drawing: Drawing
+    view: View
+    told: PosePrior
+    quality: Quality = FINE
+    difference: float = 0.5  # patch px by which a difference moves the body's rim
+    sun_free: bool = True
+    rounds: int = ROUNDS
+    trust: Trust = Trust()
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A pose, the Sun it goes with, its light, and the covariance of (rx, ry, rz, x, y, log scale, joints)."""
+
+    pose: Poses  # one
+    sun: Array  # (3,)
+    fit: Fit
+    log_posterior: float  # evidence, and the prior of scale and Sun
+    covariance: Array  # (6 + J, 6 + J) rad, frame px, log, deg or model units
+
+
+def ascend(hill: Hill, poses: Poses, suns: Array, *, steps: int, covariance: bool = True) -> list[Refined]:
+    """Climb from N poses, each with its Sun (N, 3); ``steps`` at the most. In the order given."""
+    fits, scores = _look(hill, poses, suns)
+    going = np.ones(len(poses), dtype=bool)
+    for _ in range(steps):
+        at = np.flatnonzero(going)
+        if not len(at):
+            break
+        systems = _systems(hill, poses[at], suns[at], [fits[k] for k in at])
+        damping = _damping(hill, poses[at])
+        moves = np.array([np.linalg.solve(c + np.diag(d), p) for (c, p), d in zip(systems, damping, strict=True)])
+        before = scores[at].copy()
+        for share in (1.0, _SHORTER):
+            left = at[scores[at] <= before] if share < 1 else at
+            if not len(left):
+                break
+            chosen = np.searchsorted(at, left)
+            trial, trial_suns = _moved(poses[left], suns[left], share * moves[chosen], hill)
+            trial_fits, trial_scores = _look(hill, trial, trial_suns)
+            better = np.flatnonzero(trial_scores > scores[left])
+            poses = _replaced(poses, left[better], trial[better])
+            suns[left[better]] = trial_suns[better]
+            scores[left[better]] = trial_scores[better]
+            for k in better:
+                fits[left[k]] = trial_fits[k]
+        going[at] = scores[at] > before + _ENOUGH
+    d = 6 + poses.joints.shape[1]
+    spreads = [np.full((d, d), np.nan)] * len(poses)
+    if covariance:
+        spreads = [np.linalg.inv(c)[:d, :d] for c, _ in _systems(hill, poses, suns, fits)]
+    return [
+        Refined(poses[k : k + 1], suns[k], fits[k], float(scores[k]), spreads[k]) for k in range(len(poses))
+    ]
+
+
+def _look(hill: Hill, poses: Poses, suns: Array) -> tuple[list[Fit], Array]:
+    """The light of each pose, and its log posterior."""
+    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
+    terms = terms_of(hill.scene, hill.drawing.n_groups, planes.shape[1])
+    found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, hill.rounds)
+    fits = [
+        Fit(float(e), float(x), c, *(getattr(more, name) for name in _DETAILS))
+        for e, x, c, more in zip(found.log_evidence, found.chi2, found.coefficients, details, strict=True)
+    ]
+    return fits, np.asarray(found.log_evidence + _log_prior(hill.told, poses, suns))
+
+
+def _log_prior(told: PosePrior, poses: Poses, suns: Array) -> Array:
+    out = np.zeros(len(poses))
+    if told.log_scale is not None:
+        out -= 0.5 * ((poses.log_scale - told.log_scale) / told.log_scale_sigma) ** 2
+    if told.towards_sun is not None:
+        out -= 0.5 * (np.linalg.norm(suns - told.towards_sun, axis=1) / told.sun_sigma) ** 2
+    return out
+
+
+def _systems(hill: Hill, poses: Poses, suns: Array, fits: list[Fit]) -> list[tuple[Array, Array]]:
+    """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated.
+
+    D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
+    """
+    slopes = _differences(hill, poses, suns, fits)
+    return [_system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k]) for k in range(len(poses))]
+
+
+def _system(hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32]) -> tuple[Array, Array]:
+    both = np.concatenate([slopes.reshape(len(slopes), -1), fit.columns.reshape(len(fit.columns), -1)])
+    weighted = both * fit.weight.ravel()
+    normal = (weighted @ both.T).astype(np.float64)
+    pull = (weighted @ fit.residual.ravel()).astype(np.float64)
+    d = len(slopes)
+    normal[range(d, len(both)), range(d, len(both))] += fit.precision
+    pull[d:] -= fit.precision * fit.deviation
+    _add_prior(hill, normal, pull, pose, sun)
+    inner = np.linalg.solve(normal[d:, d:], np.column_stack([normal[d:, :d], pull[d:]]))
+    return normal[:d, :d] - normal[:d, d:] @ inner[:, :d], pull[:d] - normal[:d, d:] @ inner[:, d]
+
+
+def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) -> None:
+    told, d = hill.told, 6 + pose.joints.shape[1]
+    weak = np.concatenate([np.full(3, 1.0), np.full(2, 1e-4), [1.0], np.full(d - 6, 1e-4)])
+    normal[range(d), range(d)] += weak  # far wider than any image allows: it keeps the matrix regular
+    if told.log_scale is not None:
+        normal[5, 5] += told.log_scale_sigma**-2
+        pull[5] += (told.log_scale - float(pose.log_scale[0])) / told.log_scale_sigma**2
+    if hill.sun_free:
+        normal[range(d, d + 2), range(d, d + 2)] += told.sun_sigma**-2
+        if told.towards_sun is not None:
+            pull[d : d + 2] += across(sun) @ (told.towards_sun - sun) / told.sun_sigma**2
+
+
+def _damping(hill: Hill, poses: Poses) -> Array:
+    """(N, D) precisions that hold a step within ``trust``."""
+    trust, joints = hill.trust, hill.drawing.articulation.joints
+    rim = hill.drawing.radius * np.exp(poses.log_scale)
+    reach = [np.rad2deg(trust.joint) if j.kind == "revolute" else trust.joint * (j.maximum - j.minimum) for j in joints]
+    sun = [1.0] * 2 if hill.sun_free else []
+    wide = np.array([trust.turn] * 3 + [1.0, 1.0, trust.log_scale, *reach, *sun])
+    widths = np.repeat(wide[None], len(poses), axis=0)
+    widths[:, 3:5] = (trust.place * rim)[:, None]
+    return np.asarray(widths**-2)
+
+
+def _steps(hill: Hill, poses: Poses) -> Array:
+    """(N, 6 + J) by how much each coordinate differs: the rim moves by ``difference``."""
+    rim = np.maximum(hill.drawing.radius * np.exp(poses.log_scale) / hill.view.binning, 1.0)
+    turn = hill.difference / rim
+    place = np.full(len(poses), hill.difference * hill.view.binning)
+    columns = [turn, turn, turn, place, place, turn]
+    for joint in hill.drawing.articulation.joints:
+        columns.append(np.rad2deg(2 * turn) if joint.kind == "revolute" else turn * hill.drawing.radius)
+    return np.column_stack(columns)
+
+
+def _differences(hill: Hill, poses: Poses, suns: Array, fits: list[Fit]) -> NDArray[np.float32]:
+    """(N, D, S, S) central differences of the models' images."""
+    steps = _steps(hill, poses)
+    n, d = steps.shape
+    more = 2 if hill.sun_free else 0
+    moves = np.zeros((n, 2, d + more, d))
+    moves[:, 0, range(d), range(d)], moves[:, 1, range(d), range(d)] = steps, -steps
+    all_suns = np.tile(suns[:, None, None], (1, 2, d + more, 1))
+    if hill.sun_free:
+        for k, sun in enumerate(suns):
+            turned = np.stack([sun + _SUN_STEP * across(sun), sun - _SUN_STEP * across(sun)])
+            all_suns[k, :, d:] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    each = 2 * (d + more)
+    start = poses[np.repeat(np.arange(n), each)]
+    coefficients = np.repeat(np.stack([fit.coefficients for fit in fits]), each, axis=0)
+    moved = retract(start, moves.reshape(-1, d))
+    drawn = hill.drawing.combined(moved, all_suns.reshape(-1, 3), coefficients, hill.view, hill.quality)
+    side = hill.view.side
+    drawn = drawn.reshape(n, 2, d + more, side, side)
+    half = np.concatenate([0.5 / steps, np.full((n, more), 0.5 / _SUN_STEP)], axis=1).astype(np.float32)
+    return spread((drawn[:, 0] - drawn[:, 1]) * half[..., None, None], hill.scene.point_spread, hill.scene.smoothing)
+
+
+def _moved(poses: Poses, suns: Array, moves: Array, hill: Hill) -> tuple[Poses, Array]:
+    """Poses and Suns after their steps, joints kept in range."""
+    d = 6 + poses.joints.shape[1]
+    moved = retract(poses, moves[:, :d])
+    moved = Poses(moved.quaternion, moved.position, moved.log_scale, within(hill.drawing, moved.joints))
+    if not hill.sun_free:
+        return moved, suns.copy()
+    turned = np.stack([sun + move[d:] @ across(sun) for sun, move in zip(suns, moves, strict=True)])
+    return moved, turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def within(drawing: Drawing, joints: Array) -> Array:
+    """(N, J) values brought back into their range: those that turn all the way wrap, others stop."""
+    values = joints.copy()
+    for k, joint in enumerate(drawing.articulation.joints):
+        span = joint.maximum - joint.minimum
+        if joint.kind == "revolute" and span >= 359.0:
+            values[:, k] = (values[:, k] - joint.minimum) % span + joint.minimum
+        else:
+            values[:, k] = np.clip(values[:, k], joint.minimum, joint.maximum)
+    return values
+
+
+def _replaced(poses: Poses, at: NDArray[np.intp], by: Poses) -> Poses:
+    parts = [
+        part.copy() for part in (poses.quaternion, poses.position, poses.log_scale, poses.joints)
+    ]
+    for part, new in zip(parts, (by.quaternion, by.position, by.log_scale, by.joints), strict=True):
+        part[at] = new
+    return Poses(*parts)
+
+
+def across(direction: Array) -> Array:
+    """(2, 3) unit vectors across a direction and each other."""
+    aside = np.eye(3)[np.argmin(np.abs(direction))]
+    first = np.cross(direction, aside)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
