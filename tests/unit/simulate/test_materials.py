@@ -172,3 +172,13 @@ def test_mixed_passes_differ_repeat_and_keep_to_their_ranges():
     assert 20 < sum(s.air.d_over_r0 > 0 for s in drawn) < 80
     assert max(s.air.d_over_r0 for s in drawn) <= 6.0
     assert {s.motion.joints for s in drawn} == {None, ()}
+
+
+@pytest.mark.parametrize("first", [0, 7919, 100_000])
+def test_neighbouring_seeds_cover_the_ranges_evenly(first):
+    drawn = [randomised_mixed(first + k) for k in range(24)]
+    signals = np.log([s.camera.signal_e / 500.0 for s in drawn]) / np.log(8.0)
+    for shares in (signals, [(s.light.phase_deg / 110.0) ** (2 / 3) for s in drawn]):
+        np.testing.assert_allclose(np.quantile(shares, [0.25, 0.5, 0.75]), [0.25, 0.5, 0.75], atol=0.1)
+    assert 4 <= sum(s.air.d_over_r0 > 0 for s in drawn) <= 8
+    assert 1 <= sum(s.camera.colour for s in drawn) <= 4
