@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Piece = tuple[Floats, Indices]  # vertices (V, 3), faces (F, 3)
 
-ERROR_PX = 0.2  # by which a face may move, and the size of a cell
+ERROR_PX = 0.14  # by which a face may move, and the size of a cell
 LARGEST_CHANGE = 0.03  # of a part's area in pictures: what a coarse one may cover too much or too little
 LEAST_CHANGE = 0.002  # of the whole body's: what does not count, however small the part
 VIEWS = 16

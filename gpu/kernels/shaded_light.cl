@@ -117,7 +117,7 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
         const floats towards = n[0] * light.half_way.x + n[1] * light.half_way.y + n[2] * light.half_way.z;
         const floats shine = towards > 0.0f ? towards : 0.0f;
         for (int k = 0; k < sizes.n_gloss; ++k) {
-            const floats lobe = facing & (shine > 0.0f) ? powr(shine, (floats)exponents[k]) : 0.0f;
+            const floats lobe = facing & (shine > 0.0f) ? exp2(exponents[k] * log2(shine)) : 0.0f;
             if (share) {
                 float strength[LANES];
                 __global const float *of = share + sizes.n_groups * (1 + k) + 1;
