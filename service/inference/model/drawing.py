@@ -35,14 +35,26 @@ class Shaded(Protocol):
         self,
         part_transforms: NDArray[np.float32],
         towards_sun: Array,
-        coefficients: Array,
+        coefficients: Images,
         *,
         side: int,
         supersample: int,
         shadow_px: int,
         gloss: tuple[float, ...] = ...,
     ) -> Images:
-        """(N, P, 3, 4) transforms and (Q,) coefficients -> (N, side, side) sums of the planes."""
+        """(N, P, 3, 4) transforms and (Q,) or (N, Q) coefficients -> (N, side, side) sums of the planes."""
+        ...
+
+    def pictures(
+        self,
+        part_transforms: NDArray[np.float32],
+        towards_sun: Array,
+        *,
+        side: int,
+        supersample: int,
+        shadow_px: int,
+    ) -> Images:
+        """(N, P, 3, 4) transforms -> (N, 2, side, side): all groups alike, and the coverage."""
         ...
 
 
@@ -107,8 +119,8 @@ class Drawing:
             gloss=quality.gloss,
         )
 
-    def combined(self, poses: Poses, sun: Array, coefficients: Array, view: View, quality: Quality) -> Images:
-        """(N, S, S) pictures with every surface's light as ``coefficients`` (Q,) have it."""
+    def combined(self, poses: Poses, sun: Array, coefficients: Images, view: View, quality: Quality) -> Images:
+        """(N, S, S) pictures with every surface's light as ``coefficients`` (Q,) have it; or (N, Q)."""
         return self.shaded.combined(
             self.transforms(poses, view),
             sun,

@@ -1,19 +1,19 @@
-"""log p(D|theta) of docs/model.md, section 3: the light of one pose against one patch, all linear unknowns integrated out.
+"""log p(D|theta) of docs/model.md, section 3: the light of one pose against one patch, linear unknowns integrated out.
 
 The readable twin of ``gpu/kernels/evidence.cl``; NumPy, one pose at a time.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import factorial, lgamma, log, pi, sqrt
+from math import lgamma, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model import prior
-from service.inference.model.spread import PointSpread, spread
+from service.inference.model.spread import PointSpread, deviations, gradient, spread
 from service.inference.state import Array
 
 Images = NDArray[np.float32]
@@ -21,6 +21,7 @@ _NU = prior.DEGREES_OF_FREEDOM
 _T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)
 ROUNDS = 6  # of reweighting: a tolerance, the evidence moves by less than 0.1 nats after it
 LEAST_LIT = 1e-4  # of the Sun full on: a plane that shows less is left out
+_FULL_SHARE = 0.05  # of a pixel's light that comes from censored ones: it is censored too
 _LONGEST_STEP = 1.5  # of a log albedo in one round
 
 
@@ -37,7 +38,7 @@ class Scene:
     discrepancy: float = prior.DISCREPANCY  # tau
     shifts: bool = True  # whether speckle and image shifts are unknowns: not worth their time in a coarse look
     low_pass: float = 0.0  # l, px; 0: as the point spread asks
-    light: prior.LightPrior = prior.LightPrior()
+    light: prior.LightPrior = field(default_factory=prior.LightPrior)
 
     @property
     def side(self) -> int:
@@ -52,7 +53,7 @@ class Scene:
     @cached_property
     def data(self) -> Images:
         """(S, S) the frame after its low pass."""
-        return spread(self.image[None], PointSpread(0.0), self.smoothing)[0]
+        return np.asarray(spread(self.image[None], PointSpread(0.0), self.smoothing)[0], np.float32)
 
     @cached_property
     def area(self) -> float:
@@ -69,7 +70,8 @@ class Scene:
     @cached_property
     def full(self) -> NDArray[np.bool_]:
         """(S, S) pixels of which only a least value is known."""
-        return spread(self.censored.astype(np.float32)[None], PointSpread(0.0), self.smoothing)[0] > 0.05
+        share = spread(self.censored.astype(np.float32)[None], PointSpread(0.0), self.smoothing)[0]
+        return np.asarray(share > _FULL_SHARE)
 
     @cached_property
     def gain(self) -> float:
@@ -89,7 +91,7 @@ class Scene:
         middle = np.array([0.25, 0.5, 0.75]) * self.side
         at = np.arange(self.side) + 0.5
         line = np.exp(-0.5 * ((at[None] - middle[:, None]) / (0.2 * self.side)) ** 2)
-        return np.einsum("ai,bj->abij", line, line).reshape(9, self.side, self.side).astype(np.float32)
+        return np.asarray(np.einsum("ai,bj->abij", line, line).reshape(9, self.side, self.side), np.float32)
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
         sigmas += [prior.SHIFT_SHARE * wings] * 18
     return Terms(
         scene=scene,
-        offset=np.repeat(np.float32([0.0, log(prior.GLOSS_SHARE)]), [n_groups, glossy]),
+        offset=np.repeat(np.array([0.0, log(prior.GLOSS_SHARE)], np.float32), [n_groups, glossy]),
         mean=np.array(means + [0.0] * (len(sigmas) - len(means)), np.float32),
         precision=(1.0 / np.array(sigmas) ** 2).astype(np.float32),
         data=scene.data,
@@ -177,14 +179,6 @@ def t_log_density(residual: Images, variance: Images) -> Images:
     return np.asarray(
         _T_CONSTANT - 0.5 * np.log(variance) - 0.5 * (_NU + 1) * np.log1p(residual**2 / (_NU * variance)), np.float32
     )
-
-
-def gradient(image: Images) -> tuple[Images, Images]:
-    """Central differences along x and y of (..., S, S)."""
-    dx, dy = np.zeros_like(image), np.zeros_like(image)
-    dx[..., :, 1:-1] = 0.5 * (image[..., :, 2:] - image[..., :, :-2])
-    dy[..., 1:-1, :] = 0.5 * (image[..., 2:, :] - image[..., :-2, :])
-    return dx, dy
 
 
 def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS) -> Fit:
@@ -287,21 +281,4 @@ class _Unknowns:
         body = light**2 > terms.noise / terms.area
         chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0
         nothing = np.empty(0, np.float32)
-        return Fit(
-            evidence, chi2, nothing, residual, weight, model, light, columns, self._precision, deviation
-        )
-
-
-def deviations(light: Images, width: float) -> Images:
-    """(12, S, S) Gauss-Hermite deviations of the point spread, orders 2 to 4: s^n d^n I / sqrt(a! b!)."""
-    along: list[Images] = [light]
-    for _ in range(4):
-        along.append(gradient(along[-1])[0])
-    out = []
-    for order in (2, 3, 4):
-        for b in range(order + 1):
-            image = along[order - b]
-            for _ in range(b):
-                image = gradient(image)[1]
-            out.append(np.float32(width**order / sqrt(factorial(order - b) * factorial(b))) * image)
-    return np.stack(out)
+        return Fit(evidence, chi2, nothing, residual, weight, model, light, columns, self._precision, deviation)

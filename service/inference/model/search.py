@@ -1,4 +1,4 @@
-"""A frame of which nothing is known: templates, coarse evidence, random steps, refinement, basins (docs/model.md, 4)."""
+"""A frame of which nothing is known: templates, coarse evidence, refinement, basins (docs/model.md, 4)."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import factorial, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ Images = NDArray[np.float32]
 # Weights, and widths in units of w, of the Gaussians whose sum is nearest to exp(-x^(5/3)) for x in 0 to 4.
 MIXTURE_WEIGHTS = (0.6246, 0.3227, 0.0527)
 MIXTURE_WIDTHS = (1.164, 1.936, 5.691)
+_LEAST = 1e-12  # of a Gaussian's height: products of numbers too small for a float32's exponent take 30 times as long
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,31 @@ def band(side: int, sigma: float) -> NDArray[np.float32]:
     if sigma < 1e-3:
         return np.eye(side, dtype=np.float32)
     kernel = np.exp(-0.5 * (gap / sigma) ** 2)
+    kernel[kernel < _LEAST] = 0.0
     reach = np.arange(-side, side + 1)
     matrix = np.asarray(kernel / np.exp(-0.5 * (reach / sigma) ** 2).sum(), np.float32)
     matrix.flags.writeable = False
     return matrix
+
+
+def gradient(image: Images) -> tuple[Images, Images]:
+    """Central differences along x and y of (..., S, S)."""
+    dx, dy = np.zeros_like(image), np.zeros_like(image)
+    dx[..., :, 1:-1] = 0.5 * (image[..., :, 2:] - image[..., :, :-2])
+    dy[..., 1:-1, :] = 0.5 * (image[..., 2:, :] - image[..., :-2, :])
+    return dx, dy
+
+
+def deviations(light: Images, width: float) -> Images:
+    """(12, S, S) Gauss-Hermite deviations of the point spread, orders 2 to 4: s^n d^n I / sqrt(a! b!)."""
+    along: list[Images] = [light]
+    for _ in range(4):
+        along.append(gradient(along[-1])[0])
+    out = []
+    for order in (2, 3, 4):
+        for b in range(order + 1):
+            image = along[order - b]
+            for _ in range(b):
+                image = gradient(image)[1]
+            out.append(np.float32(width**order / sqrt(factorial(order - b) * factorial(b))) * image)
+    return np.stack(out)

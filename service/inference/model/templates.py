@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
+from service.inference.model.spread import band
 from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
@@ -82,19 +82,18 @@ def kinds_of(light: Images, outline: Images) -> Images:
     scaled = np.clip(light / top, 0, 1.5).astype(np.float32)
     root = np.sqrt(scaled)
     lit = np.clip((scaled - _LIT) * 8 + 0.5, 0, 1)
-    edges = np.stack([_edges(image) for image in root]) if len(root) else root
-    return np.stack([normalised(_soft(p)) for p in (scaled, root, lit, edges, outline)])
+    return np.stack([normalised(_soft(p)) for p in (scaled, root, lit, _edges(root), outline)])
 
 
-def _edges(image: Images) -> Images:
-    dx, dy = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
-    return np.asarray(cv2.magnitude(dx, dy), np.float32)
+def _edges(images: Images) -> Images:
+    """(N, S, S) steepness, by Sobel's differences."""
+    wide = np.pad(images, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    down = wide[:, :-2] + 2 * wide[:, 1:-1] + wide[:, 2:]
+    across = wide[:, :, :-2] + 2 * wide[:, :, 1:-1] + wide[:, :, 2:]
+    return np.asarray(np.sqrt((down[:, :, 2:] - down[:, :, :-2]) ** 2 + (across[:, 2:] - across[:, :-2]) ** 2))
 
 
 def _soft(pictures: Images) -> Images:
-    """Blurred by ``_BLUR_PX``: all at once, one below the other."""
-    n, side = len(pictures), pictures.shape[-1]
-    tall = np.ascontiguousarray(pictures.reshape(n * side, side), np.float32)
-    across = cv2.GaussianBlur(tall, (0, 0), sigmaX=_BLUR_PX, sigmaY=1e-6)
-    turned = np.ascontiguousarray(across.reshape(n, side, side).transpose(0, 2, 1)).reshape(n * side, side)
-    return cv2.GaussianBlur(turned, (0, 0), sigmaX=_BLUR_PX, sigmaY=1e-6).reshape(n, side, side).transpose(0, 2, 1)
+    """(N, S, S) blurred by ``_BLUR_PX``."""
+    matrix = band(pictures.shape[-1], _BLUR_PX)
+    return np.asarray(matrix @ pictures @ matrix, np.float32)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from service.inference.model.drawing import FINE, Drawing, Quality, View
 from service.inference.model.likelihood import ROUNDS, Fit, Scene, terms_of
 from service.inference.model.spread import spread
-from service.inference.pose import concatenate, retract
+from service.inference.pose import retract
 from service.inference.state import Array, Poses
 
 _SUN_STEP = 0.03  # rad of a difference
@@ -98,9 +98,7 @@ def ascend(hill: Hill, poses: Poses, suns: Array, *, steps: int, covariance: boo
     spreads = [np.full((d, d), np.nan)] * len(poses)
     if covariance:
         spreads = [np.linalg.inv(c)[:d, :d] for c, _ in _systems(hill, poses, suns, fits)]
-    return [
-        Refined(poses[k : k + 1], suns[k], fits[k], float(scores[k]), spreads[k]) for k in range(len(poses))
-    ]
+    return [Refined(poses[k : k + 1], suns[k], fits[k], float(scores[k]), spreads[k]) for k in range(len(poses))]
 
 
 def _look(hill: Hill, poses: Poses, suns: Array) -> tuple[list[Fit], Array]:
@@ -177,8 +175,8 @@ def _steps(hill: Hill, poses: Poses) -> Array:
     turn = hill.difference / rim
     place = np.full(len(poses), hill.difference * hill.view.binning)
     columns = [turn, turn, turn, place, place, turn]
-    for joint in hill.drawing.articulation.joints:
-        columns.append(np.rad2deg(2 * turn) if joint.kind == "revolute" else turn * hill.drawing.radius)
+    joints = hill.drawing.articulation.joints
+    columns += [np.rad2deg(2 * turn) if j.kind == "revolute" else turn * hill.drawing.radius for j in joints]
     return np.column_stack(columns)
 
 
@@ -229,9 +227,7 @@ def within(drawing: Drawing, joints: Array) -> Array:
 
 
 def _replaced(poses: Poses, at: NDArray[np.intp], by: Poses) -> Poses:
-    parts = [
-        part.copy() for part in (poses.quaternion, poses.position, poses.log_scale, poses.joints)
-    ]
+    parts = [part.copy() for part in (poses.quaternion, poses.position, poses.log_scale, poses.joints)]
     for part, new in zip(parts, (by.quaternion, by.position, by.log_scale, by.joints), strict=True):
         part[at] = new
     return Poses(*parts)
