@@ -108,22 +108,15 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
     const floats cosine = n[0] * light.towards.x + n[1] * light.towards.y + n[2] * light.towards.z;
     const ints facing = cosine > 0.0f;
     floats sum = facing ? cosine : 0.0f;
-    if (share) {
-        float albedo[LANES];
-        for (int k = 0; k < LANES; ++k) albedo[k] = share[body.group[first + k]];
-        sum *= vload16(0, albedo);
-    }
+    const ints group = ints_at(body.group + first);
+    if (share) sum *= gather(share, group);
     if (sizes.n_gloss > 0) {
         const floats towards = n[0] * light.half_way.x + n[1] * light.half_way.y + n[2] * light.half_way.z;
         const floats shine = towards > 0.0f ? towards : 0.0f;
         for (int k = 0; k < sizes.n_gloss; ++k) {
             const floats lobe = facing & (shine > 0.0f) ? exp2(exponents[k] * log2(shine)) : 0.0f;
-            if (share) {
-                float strength[LANES];
-                __global const float *of = share + sizes.n_groups * (1 + k) + 1;
-                for (int j = 0; j < LANES; ++j) strength[j] = of[body.group[first + j]];
-                sum += vload16(0, strength) * lobe;
-            } else put(room.gloss + k * body.padded + first, lobe);
+            if (share) sum += gather(share + sizes.n_groups * (1 + k) + 1, group) * lobe;
+            else put(room.gloss + k * body.padded + first, lobe);
         }
     }
     put(room.light + first, sum);
