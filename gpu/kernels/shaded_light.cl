@@ -4,6 +4,7 @@
 // which a face is taken to be no steeper there.
 
 #define BORDER 1.0f          // texels around the body in the Sun's view
+#define DIMMEST -23.0f       // log2 of a lobe of gloss below which it is dark: tiny numbers are slow to reckon with
 
 typedef struct {
     int side, fine, stride;         // pixels, samples along one, and in memory
@@ -114,7 +115,8 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
         const floats towards = n[0] * light.half_way.x + n[1] * light.half_way.y + n[2] * light.half_way.z;
         const floats shine = towards > 0.0f ? towards : 0.0f;
         for (int k = 0; k < sizes.n_gloss; ++k) {
-            const floats lobe = facing & (shine > 0.0f) ? exp2(exponents[k] * log2(shine)) : 0.0f;
+            const floats power = exponents[k] * log2(shine);
+            const floats lobe = facing & (power > DIMMEST) ? exp2(power) : 0.0f;
             if (share) sum += gather(share + sizes.n_groups * (1 + k) + 1, group) * lobe;
             else put(room.gloss + k * body.padded + first, lobe);
         }
