@@ -60,9 +60,9 @@ def shares(drawing: Drawing, gain: float, albedo=(1.0, 1.4, 0.7), even=0.04, glo
     return gain * np.concatenate([np.array(albedo)[:n], [even], np.full(n, gloss)]).astype(np.float32)
 
 
-def seen(at: Poses, coefficients: np.ndarray, sun=SUN, core=1.3, wings=0.0) -> np.ndarray:
+def seen(at: Poses, coefficients: np.ndarray, sun=SUN, core=1.3, wings=0.0, quality=QUALITY) -> np.ndarray:
     """(S, S) counts of a frame without noise."""
-    drawn = lit_body().combined(at, sun, coefficients, VIEW, QUALITY)
+    drawn = lit_body().combined(at, sun, coefficients, VIEW, quality)
     return spread(drawn, PointSpread(core, wings), 0.0)[0]
 
 
