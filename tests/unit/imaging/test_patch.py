@@ -1,0 +1,165 @@
+"""The part of a frame that holds the object's light: light above the sky, noise of photons, where it is, the patch."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from service.imaging.background import Sky
+from service.imaging.features import feature_spec
+from service.imaging.patch import Light, cut, find_light, light_of
+
+SHAPE = (120, 160)
+
+
+def sky(sigma, mean=100.0) -> Sky:
+    """Of as many channels as ``sigma`` has numbers."""
+    sigma = np.asarray(sigma, np.float32)
+    level = np.broadcast_to(np.asarray(mean, np.float32), (*SHAPE, len(sigma)))
+    spec = feature_spec("intensity", len(sigma), 16, 1.0)
+    return Sky(level, sigma, np.zeros(spec.n_bins), spec, np.ones(SHAPE, bool), True)
+
+
+def light(image: np.ndarray, sigma: float = 1.0, censored: np.ndarray | None = None) -> Light:
+    none = np.zeros(image.shape, bool)
+    return Light(image.astype(np.float32), sigma, 0.5, 10.0, none if censored is None else censored)
+
+
+def noise(seed: int = 1, shape=SHAPE) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+def with_box(left: int, top: int, right: int, bottom: int, counts: float) -> np.ndarray:
+    image = np.zeros(SHAPE)
+    image[top:bottom, left:right] = counts
+    return image
+
+
+def test_grey_light_is_what_is_above_the_sky():
+    image = np.round(100 + 5 * noise() + with_box(40, 30, 80, 60, 200.0)).astype(np.uint16)
+    found = light_of(image, sky([5.0]), 16)
+    assert found.image == pytest.approx(image - 100.0, abs=1e-3)
+    assert found.sigma == pytest.approx(5.0)
+    assert not found.censored.any()
+    assert 0.0 < found.hidden <= 100.0
+
+
+def test_channels_are_weighed_by_their_precision():
+    sigma, counts = np.array([2.0, 4.0, 8.0]), 50.0
+    image = 100 + noise(shape=(*SHAPE, 3)) * sigma + with_box(40, 30, 80, 60, counts)[..., None]
+    found = light_of(image, sky(sigma), 16)
+    assert found.image[35:55, 45:75].mean() == pytest.approx(counts, abs=0.5)
+    assert found.sigma == pytest.approx(np.sum(sigma**-2.0) ** -0.5)
+    assert np.std(found.image[:25]) == pytest.approx(found.sigma, rel=0.05)
+    alone = light_of(image[..., :1], sky(sigma[:1]), 16)
+    assert found.sigma < alone.sigma
+
+
+@pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint8), (16, np.uint16)])
+def test_a_full_channel_censors_the_pixel(bits, dtype):
+    image = np.full((*SHAPE, 3), 100, dtype)
+    image[20, 30, 1] = (1 << bits) - 1
+    image[21, 30, 1] = (1 << bits) - 2
+    found = light_of(image, sky([2.0, 2.0, 2.0]), bits)
+    assert np.argwhere(found.censored).tolist() == [[20, 30]]
+
+
+@pytest.mark.parametrize("gain", [0.2, 1.0, 4.0])
+def test_photon_transfer_is_found_from_one_frame(gain):
+    """A body of two brightnesses with edges, blurred as by a telescope; counts per photon ``gain``."""
+    shape = with_box(40, 30, 90, 80, 300.0) + with_box(95, 40, 130, 70, 800.0)
+    clean = gaussian_filter(shape, 1.3)
+    rng = np.random.default_rng(3)
+    image = 100 + gain * rng.poisson(clean / gain) + 6.0 * rng.normal(size=SHAPE)
+    found = light_of(image, sky([6.0]), 16)
+    assert gain / 1.5 < found.photon < 1.5 * gain
+    assert found.hidden == pytest.approx(min(100.0, 36.0 / found.photon), rel=1e-6)
+
+
+def test_without_light_photons_are_taken_to_be_next_to_nothing():
+    found = light_of(100 + 6 * noise(), sky([6.0]), 16)
+    assert 0 < found.photon < 0.1
+
+
+@pytest.mark.parametrize("brightness", [6.0, -6.0])
+def test_a_body_is_found_bright_or_dark(brightness):
+    """By day a body can be darker than the sky."""
+    found = find_light(light(with_box(50, 40, 90, 70, brightness) + noise()))
+    assert found is not None
+    corners = (found.left, found.top, found.right, found.bottom)
+    assert np.abs(np.subtract(corners, (50, 40, 90, 70))).max() <= 3
+    assert found.side == pytest.approx(40, abs=6)
+    assert found.centre == pytest.approx((70.0, 55.0), abs=2.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_empty_sky_has_nothing(seed):
+    assert find_light(light(noise(seed))) is None
+
+
+def star(x: float, y: float, flux: float) -> np.ndarray:
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    return flux / (2 * np.pi * 1.5**2) * np.exp(-0.5 * ((columns - x) ** 2 + (rows - y) ** 2) / 1.5**2)
+
+
+def test_stars_are_not_the_object_nor_of_it():
+    body = with_box(50, 40, 90, 70, 8.0)
+    alone, among = (
+        find_light(light(body + stars + noise())) for stars in (0.0, star(110, 30, 900) + star(20, 90, 900))
+    )
+    assert alone == among
+
+
+def test_pieces_nearby_belong_to_the_object_and_far_ones_do_not():
+    """A panel in the light, its boom in shadow."""
+    body, panel, other = with_box(30, 40, 60, 70, 8.0), with_box(68, 45, 90, 65, 8.0), with_box(135, 90, 155, 110, 8.0)
+    found = find_light(light(body + panel + other + noise()))
+    assert found is not None
+    assert (found.left, found.right) == pytest.approx((30, 90), abs=3)
+    assert found.bottom == pytest.approx(70, abs=3)
+
+
+def test_a_patch_at_full_resolution_is_the_frame():
+    image = noise()
+    found = cut(light(image, sigma=2.0), (80.0, 60.0), 30.0, 80.0)
+    assert found.binning == 1
+    assert found.side % 16 == 0 and found.side >= 30 + 2 * 8
+    x, y = (int(v) for v in found.origin)
+    assert np.array_equal(found.image, image.astype(np.float32)[y : y + found.side, x : x + found.side])
+    assert (x + found.side / 2, y + found.side / 2) == pytest.approx((80.0, 60.0), abs=1.0)
+    assert (found.sigma, found.photon, found.hidden) == (2.0, 0.5, 10.0)
+
+
+def test_squares_of_pixels_are_their_means_and_their_noise_is_less():
+    shape = (400, 400)
+    image = noise(shape=shape) + 3.0
+    found = cut(light(image), (200.0, 200.0), 240.0, 80.0)
+    assert found.binning == 3
+    x, y = (int(v) for v in found.origin)
+    block = image[y + 6 : y + 9, x + 9 : x + 12]
+    assert found.image[2, 3] == pytest.approx(block.mean(), abs=1e-5)
+    inside = ~found.censored
+    assert np.std(found.image[inside]) == pytest.approx(found.sigma, rel=0.05)
+    assert found.sigma == pytest.approx(1 / 3)
+    assert found.photon == pytest.approx(0.5 / 9)
+    assert found.hidden == 10.0  # counts of a frame pixel, as the image
+    assert found.image[inside].mean() == pytest.approx(3.0, abs=0.05)
+
+
+@pytest.mark.parametrize("centre", [(2.0, 60.0), (80.0, 118.0), (0.0, 0.0), (-500.0, 60.0)])
+def test_outside_of_the_frame_nothing_is_known(centre):
+    image = noise() + 5.0
+    found = cut(light(image), centre, 30.0, 80.0)
+    columns, rows = (found.origin[k] + np.arange(found.side) for k in (0, 1))
+    inside = ((rows >= 0) & (rows < SHAPE[0]))[:, None] & ((columns >= 0) & (columns < SHAPE[1]))[None]
+    assert np.array_equal(found.censored, ~inside)
+    assert not found.image[~inside].any()
+
+
+def test_a_square_with_one_censored_pixel_is_censored():
+    censored = np.zeros((400, 400), bool)
+    censored[205, 203] = True
+    found = cut(light(noise(shape=(400, 400)), censored=censored), (200.0, 200.0), 240.0, 80.0)
+    at = np.argwhere(found.censored)
+    assert len(at[(at > 5).all(axis=1) & (at < found.side - 5).all(axis=1)]) == 1
+    row, column = (int((v - o) // 3) for v, o in zip((205, 203), found.origin[::-1], strict=True))
+    assert found.censored[row, column]
