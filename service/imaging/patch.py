@@ -22,7 +22,7 @@ _STAR_PX = 11  # extent of a bright star above the threshold
 _NEAR_STAR = 0.06  # share of the diagonal within which even something so small belongs to the object
 _LEAST_BRIGHT_PX = 64
 _MARGIN = 0.3  # sky on each side of the light, as a share of its longer side
-_LEAST_MARGIN_PX = 8
+_LEAST_MARGIN_PX = 6
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model import templates as T
 from service.inference.model.drawing import Drawing, Quality, View
+from service.inference.model.spread import band
 from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
@@ -18,31 +19,35 @@ _SHIFTS_PX = (-2.0, 0.0, 2.0)
 _SCALES = (0.72, 0.85, 1.0, 1.18, 1.39)
 _DRAFT = Quality(supersample=1, shadow_px=64, gloss=())
 _PICTURE = Quality(supersample=2, shadow_px=128, gloss=())
+_LIT_SHARES = (0.0, 0.08, 0.3)  # of the brighter light: lit from here on
+_FLOOR_SIGMAS = 2.5
+_DARK_SIGMAS = 6.0
 _CHUNK = 512
 
 
-def build(drawing: Drawing, sun: Array, count: int) -> T.Bank:
-    """Draw ``count`` templates under a Sun (3,) in camera axes."""
+def build(drawing: Drawing, suns: Array) -> T.Bank:
+    """Draw as many templates as ``suns`` (N, 3), in camera axes, has rows."""
+    count = len(suns)
     quaternion = T.rotations(count)
     joints = T.drawn_joints(drawing.articulation, count)
     draft = View((0.0, 0.0), 1.0, T._FIRST_SIDE)
     middle = np.full((count, 2), T._FIRST_SIDE / 2)
     size = np.full(count, np.log(0.5 * T._FIRST_SIDE / drawing.radius))
     first = Poses(quaternion, middle, size, joints)
-    centre, rim = (np.concatenate(p) for p in zip(*(T.lit_moments(light) for light, _ in _draw(drawing, first, sun, draft, _DRAFT)), strict=True))
+    moments = [T.lit_moments(light) for light, _ in _draw(drawing, first, suns, draft, _DRAFT)]
+    centre, rim = (np.concatenate(part) for part in zip(*moments, strict=True))
     zoom = T._RIM_PX / rim
     poses = Poses(quaternion, (middle - centre) * zoom[:, None] + T.SIDE / 2, size + np.log(zoom), joints)
     view = View((0.0, 0.0), 1.0, T.SIDE)
-    kinds = [T.kinds_of(light, outline) for light, outline in _draw(drawing, poses, sun, view, _PICTURE)]
-    return T.Bank(poses, np.ascontiguousarray(np.concatenate(kinds, axis=1)))
+    kinds = [T.kinds_of(light, outline) for light, outline in _draw(drawing, poses, suns, view, _PICTURE)]
+    return T.Bank(suns, poses, np.ascontiguousarray(np.concatenate(kinds, axis=1)))
 
 
-def _draw(drawing: Drawing, poses: Poses, sun: Array, view: View, quality: Quality):
+def _draw(drawing: Drawing, poses: Poses, suns: Array, view: View, quality: Quality) -> Iterator[tuple[Images, Images]]:
     for first in range(0, len(poses), _CHUNK):
-        part = poses[first : first + _CHUNK]
-        drawn = drawing.shaded.pictures(
-            drawing.transforms(part, view), sun, side=view.side, supersample=quality.supersample, shadow_px=quality.shadow_px
-        )
+        moved = drawing.transforms(poses[first : first + _CHUNK], view)
+        sizes = {"side": view.side, "supersample": quality.supersample, "shadow_px": quality.shadow_px}
+        drawn = drawing.shaded.pictures(moved, suns[first : first + _CHUNK], **sizes)
         yield drawn[:, 0], drawn[:, 1]
 
 
@@ -56,32 +61,56 @@ class Looks:
 
 
 def looks(image: Images, sigma: float) -> Looks:
-    """The frame's light (H, W; counts, noise ``sigma``) at several shifts and scales about its own moments."""
-    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
-    signal = np.abs(smooth) if smooth.sum() < 0 or np.quantile(smooth, 0.995) < 6 * sigma else smooth
-    floor = 2.0 * sigma
-    cleaned = np.where(np.abs(smooth) > floor, signal, 0.0).astype(np.float32)
-    top = float(np.quantile(cleaned[cleaned > 0], 0.97)) if (cleaned > 0).any() else 1.0
-    mask = (cleaned > max(T._LIT * top, floor)).astype(np.float32)
-    centre, rim = (m[0] for m in T.lit_moments(mask[None] * 1.0))
+    """The frame's light (S, S; counts, noise ``sigma``) at several shifts and scales about its own moments.
+
+    What is lit is taken in several ways: a dim panel or a thin boom moves the moments of faint light, not of bright.
+    """
+    smooth = _blurred(image, 1.0)
+    floor = _FLOOR_SIGMAS * sigma
+    above = np.where(np.abs(smooth) > floor, np.abs(smooth) if _is_dark(smooth, sigma) else smooth, 0.0)
+    above = np.maximum(above, 0).astype(np.float32)
+    some = above > 0
+    top = float(np.quantile(above[some], 0.97)) if some.any() else 1.0
     zooms, offsets, pictures, outlines = [], [], [], []
-    for scale in _SCALES:
-        zoom = float(rim) / T._RIM_PX * scale
-        for dx in _SHIFTS_PX:
-            for dy in _SHIFTS_PX:
-                offset = centre + np.array([dx, dy]) * zoom - zoom * T.SIDE / 2
-                matrix = np.array([[zoom, 0, offset[0] + 0.5 * zoom - 0.5], [0, zoom, offset[1] + 0.5 * zoom - 0.5]])
-                flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-                blurred = cv2.GaussianBlur(cleaned, (0, 0), max(0.3, 0.4 * zoom))
-                pictures.append(cv2.warpAffine(blurred, matrix, (T.SIDE, T.SIDE), flags=flags))
-                outlines.append(cv2.warpAffine(mask, matrix, (T.SIDE, T.SIDE), flags=flags))
-                zooms.append(zoom)
-                offsets.append(offset)
-    kinds = T.kinds_of(np.maximum(np.stack(pictures), 0), np.stack(outlines))
+    for share in _LIT_SHARES:
+        mask = above > max(share * top, floor)
+        if not mask.any():
+            continue
+        centre, rim = (m[0] for m in T.lit_moments(mask[None].astype(np.float32)))
+        for zoom in float(rim) / T._RIM_PX * np.array(_SCALES):
+            for dx in _SHIFTS_PX:
+                for dy in _SHIFTS_PX:
+                    offset = centre + np.array([dx, dy]) * zoom - zoom * T.SIDE / 2
+                    across, down = (_sampling(len(image), zoom, offset[k]) for k in (0, 1))
+                    pictures.append(down @ above @ across.T)
+                    outlines.append(down @ some.astype(np.float32) @ across.T)
+                    zooms.append(zoom)
+                    offsets.append(offset)
+    kinds = T.kinds_of(np.stack(pictures), np.stack(outlines))
     return Looks(kinds, np.array(zooms), np.array(offsets))
 
 
-def match(bank: T.Bank, seen: Looks, log_scale: float | None = None, log_scale_sigma: float = 0.03) -> tuple[Array, Poses]:
+def _is_dark(smooth: Images, sigma: float) -> bool:
+    """By day a body can be darker than the sky: then what differs is what is seen."""
+    return bool(smooth.sum() < 0 or np.quantile(smooth, 0.995) < _DARK_SIGMAS * sigma)
+
+
+def _blurred(image: Images, sigma: float) -> Images:
+    matrix = band(len(image), sigma)
+    return np.asarray(matrix @ image @ matrix, np.float32)
+
+
+def _sampling(size: int, zoom: float, offset: float) -> Images:
+    """(SIDE, size) means of the frame's pixels around each template pixel's centre, a Gaussian half of it wide."""
+    at = zoom * (np.arange(T.SIDE) + 0.5) + offset
+    wide = max(0.45 * zoom, 0.4)
+    weight = np.exp(-0.5 * ((np.arange(size) + 0.5 - at[:, None]) / wide) ** 2)
+    return np.asarray(weight / (wide * np.sqrt(2 * np.pi)), np.float32)
+
+
+def match(
+    bank: T.Bank, seen: Looks, log_scale: float | None = None, log_scale_sigma: float = 0.03
+) -> tuple[Array, list[Poses]]:
     """(kinds, N) best correlation of each template, and the pose that it means at its best look of each kind.
 
     A told scale keeps the looks that agree with it (within three sigma and half a step of the scales).

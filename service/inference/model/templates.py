@@ -32,6 +32,7 @@ _BLUR_PX = 1.0  # of the pictures: rotations lie 12 degrees apart
 class Bank:
     """N templates."""
 
+    suns: Array  # (N, 3) each under its own
     poses: Poses  # N; position: of the body's centre from the middle of the lit light, scale: both in template px
     pictures: Images  # (kinds, N, SIDE * SIDE), zero mean, unit length
 
@@ -47,13 +48,25 @@ def rotations(count: int) -> Array:
     return out
 
 
+def directions(count: int) -> Array:
+    """(count, 3) directions evenly over the sphere (Fibonacci's), in an order that rotations do not share."""
+    k = np.arange(count)
+    z = 1 - 2 * ((k * 0.7548776662466927 + 0.5) % 1.0) if count > 64 else 1 - (2 * k + 1) / count
+    angle = 2 * np.pi * ((k * (0.5698402909980532 if count > 64 else 0.6180339887498949)) % 1.0)
+    ring = np.sqrt(np.maximum(1 - z * z, 0))
+    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
+
+
 def drawn_joints(articulation: Articulation, count: int) -> Array:
-    """(count, J) joint values evenly over their ranges (a Kronecker sequence)."""
-    steps = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0, 41.0, 43.0, 47.0, 53.0])
-    share = np.arange(count)[:, None] * np.resize(steps, articulation.n_joints)[None] % 1.0
+    """(count, J) joint values evenly over their ranges: Roberts' R sequence, whose steps rotations do not share."""
+    n = articulation.n_joints
+    root = 2.0
+    for _ in range(40):  # of x^(n + 1) = x + 1
+        root = (1 + root) ** (1 / (n + 1))
+    share = (0.5 + np.arange(count)[:, None] * root ** -np.arange(1.0, n + 1)) % 1.0
     low = np.array([joint.minimum for joint in articulation.joints])
     high = np.array([joint.maximum for joint in articulation.joints])
-    return np.asarray(low + share * (high - low)).reshape(count, articulation.n_joints)
+    return np.asarray(low + share * (high - low)).reshape(count, n)
 
 
 def lit_moments(light: Images) -> tuple[Array, Array]:

@@ -1,0 +1,80 @@
+"""Point spread and discrepancy of a frame: found at its best poses, then held (docs/model.md, section 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.inference.model import prior
+from service.inference.model.likelihood import terms_of
+from service.inference.model.spread import PointSpread
+from service.inference.numerics.gauss_newton import Hill
+from service.inference.state import Array, Poses
+
+_CORES = tuple(float(v) for v in np.geomspace(0.4, 4.0, 12))  # px of the frame
+_WINGS = (0.0, 0.4, 0.8, 1.3, 2.0, 3.0)
+_DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in np.linspace(-0.9, 0.9, 7))
+_LOOKS = 24  # grids are searched from where one stands: no more than this
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Of one frame; px of the frame."""
+
+    core: float  # s
+    wings: float = 0.0  # w
+    discrepancy: float = prior.DISCREPANCY
+
+    def point_spread(self, binning: float) -> PointSpread:
+        """On a patch of squares of so many px."""
+        return PointSpread(self.core / binning, self.wings / binning)
+
+
+def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
+    """The point spread under which a few poses explain the frame best, by steps over a grid.
+
+    The frame's own low pass stays what the hill has: all are compared on the same data.
+    """
+    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
+    scale = hill.view.binning
+
+    def value(core: int, wings: int) -> float:
+        spread = PointSpread(_CORES[core] / scale, _WINGS[wings] / scale)
+        scene = replace(hill.scene, point_spread=spread, low_pass=hill.scene.smoothing)
+        terms = terms_of(scene, hill.drawing.n_groups, planes.shape[1])
+        found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence
+        return float(np.max(found)) + _log_prior(_CORES[core], _WINGS[wings])
+
+    here = (
+        int(np.argmin(np.abs(np.log(np.array(_CORES) / start.core)))),
+        int(np.argmin(np.abs(np.array(_WINGS) - start.wings))),
+    )
+    seen = {here: value(*here)}
+    while len(seen) < _LOOKS:
+        near = [(here[0] + a, here[1] + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1))]
+        for at in near:
+            if at not in seen and 0 <= at[0] < len(_CORES) and 0 <= at[1] < len(_WINGS):
+                seen[at] = value(*at)
+        best = max(seen, key=lambda at: seen[at])
+        if best == here:
+            break
+        here = best
+    return replace(start, core=_CORES[here[0]], wings=_WINGS[here[1]])
+
+
+def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
+    """The discrepancy under which the best pose explains the frame best, prior included."""
+    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
+    values = []
+    for tau in _DISCREPANCIES:
+        terms = terms_of(replace(hill.scene, discrepancy=tau), hill.drawing.n_groups, planes.shape[1])
+        found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence
+        deviation = np.log(tau / prior.DISCREPANCY) / prior.DISCREPANCY_LOG_SIGMA
+        values.append(float(np.max(found)) - 0.5 * deviation**2)
+    return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
+
+
+def _log_prior(core: float, wings: float) -> float:
+    deviation = float(np.log(core / prior.CORE_PX)) / prior.CORE_LOG_SIGMA
+    return -0.5 * deviation**2 - 0.5 * (wings / prior.WINGS_SIGMA_PX) ** 2
