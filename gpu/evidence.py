@@ -18,7 +18,8 @@ from gpu.errors import DeviceError
 from gpu.program import build, constant, device_errors
 
 Numbers = NDArray[np.float32]
-LANES = 16
+FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
+LANES, EIGHT, NEAR, ODD = 16, 8, 704, 5  # as the kernel has them
 HERMITE, BUMPS = 12, 9
 _REACH = 3.5  # sigmas of a Gaussian that are summed
 
@@ -94,11 +95,11 @@ class LightEvidence:
         with device_errors(self.name):
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
-            self._kernel = cl.Kernel(build(self._context, "lanes.cl", "evidence.cl"), "evidence")
+            self._kernel = cl.Kernel(build(self._context, *FILES), "evidence")
         self._memory: tuple[int, cl.Buffer] | None = None
 
     def evidence(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int) -> Answers:
-        """``planes`` (N, Q, S, S): groups, even light, gloss of groups."""
+        """``planes`` (N, Q, S, S): groups, even light, gloss of groups; none is lit where there is no even light."""
         return self._run(planes, n_groups, terms, rounds, None)
 
     def details(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int) -> tuple[Answers, list[Details]]:
@@ -118,18 +119,14 @@ class LightEvidence:
     def _unknowns(n_planes: int, terms: Terms) -> int:
         return n_planes - 1 + 6 + HERMITE * terms.speckle + 2 * BUMPS * terms.shifts
 
-    def _run(
-        self, planes: Numbers, n_groups: int, terms: Terms, rounds: int, details: Numbers | None
-    ) -> Answers:
+    def _run(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int, details: Numbers | None) -> Answers:
         n, n_planes, side, _ = planes.shape
         if side % LANES:
             raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
-        unknowns, pixels = self._unknowns(n_planes, terms), side * side
+        unknowns = self._unknowns(n_planes, terms)
         taps = [_taps(sigma) for _, sigma in terms.gaussians]
-        longest = -(-(side + 2 * max(len(t) for t in taps) + 2 * LANES) // LANES) * LANES
-        doubles = unknowns * unknowns + 4 * unknowns
-        each = 2 * doubles + unknowns * pixels + 9 * pixels + longest + 7 * unknowns + LANES
-        each = -(-each // 64) * 64
+        length = side + 2 * _lanes(max(len(t) // 2 for t in taps))
+        each = _room(unknowns, n_planes, side, length)
         out, drawn = np.empty((n, 4), np.float32), np.empty((n, n_planes), np.float32)
         if n == 0:
             return Answers(np.empty(0), np.empty(0), drawn)
@@ -143,13 +140,13 @@ class LightEvidence:
             radii = np.array([len(t) // 2 for t in taps], np.int32)
             arrays += (terms.slopes, terms.bumps, weights, radii, np.concatenate(taps))
             inputs = [constant(self._context, np.ascontiguousarray(a)) for a in arrays]
-            sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, len(taps))
+            sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, len(taps), length)
             scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.wrong, terms.edge**2)
             scalars += (terms.width, terms.gain)
             result, coefficients = (cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in (out, drawn))
             more = None if details is None else cl.Buffer(self._context, flags.WRITE_ONLY, details.nbytes)
             head = (given, np.int32(n), *inputs, *(np.int32(v) for v in sizes), *(np.float32(v) for v in scalars))
-            tail = (self._scratch(4 * each * items), np.int32(each), np.int32(longest))
+            tail = (self._scratch(4 * each * items), np.uint64(each))
             counter = constant(self._context, np.zeros(1, np.int32))
             self._kernel(self._queue, (items,), (1,), *head, result, coefficients, more, *tail, counter)
             cl.enqueue_copy(self._queue, out, result)
@@ -181,6 +178,19 @@ def _details(row: Numbers, unknowns: int, side: int) -> Details:
     tail = rest[unknowns * pixels :].astype(np.float64)
     columns = rest[: count * pixels].reshape(count, side, side)
     return Details(*maps, columns, tail[:count], tail[unknowns : unknowns + count])
+
+
+def _lanes(count: int) -> int:
+    return -(-count // LANES) * LANES
+
+
+def _room(unknowns: int, n_planes: int, side: int, length: int) -> int:
+    """Numbers of one work-item, as ``room_in`` deals them out."""
+    slots, width, pixels = unknowns - 1, -(-unknowns // EIGHT) * EIGHT, side * side
+    vectors = 5 * _lanes(2 * width) + 2 * _lanes(unknowns) + _lanes(4 * slots) + _lanes(slots + 3)
+    matrices = _lanes(2 * width * width) + _lanes(2 * slots * slots) + (slots + 1) ** 2 * LANES
+    pictures = slots * (pixels + ODD * LANES) + 6 * pixels + side * length
+    return vectors + matrices + pictures + 2 * max(NEAR, (slots + 3) * EIGHT) * LANES
 
 
 def _taps(sigma: float) -> Numbers:

@@ -1,344 +1,345 @@
 // The light of N drawn poses against one patch of a frame: linear unknowns at their best, and their Laplace evidence.
 //
 // docs/model.md, section 3; the slow twin is service/inference/model/likelihood.py. One work-item takes pose after
-// pose. Pictures are (side, side), side a multiple of LANES; a picture's `box` is where it is not zero, its columns
-// whole lanes. Linear algebra is in double: the unknowns' curvatures span ten orders of magnitude.
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+// pose. What a body can change of a frame lies in one box, `body`: beyond it there is sky alone.
 
 #define NU 4.0f
 #define HERMITE 12
 #define BUMPS 9
 #define LEAST_LIT 1e-4f
 #define LONGEST_STEP 1.5
+#define STILL 1e-3  // nats that a step gains at the most when it is the last
 
-typedef struct { int top, bottom, left, right; } Box;
+// Slots of pictures. Many unknowns are one picture times a number: even light and hidden sky share theirs, that of the
+// gain is the sum of what it brightens. Residuals stand among them because a pull is a product with the residual.
+#define SKY 0
+#define RESIDUAL 3
+#define EVEN 4
+#define SPECKLE 5
+#define ODD 5  // lanes between pictures: at whole pages apart they would push each other out of the nearest cache
 
 typedef struct {
-    int side, pixels, planes, positives, unknowns, speckle, shifts, rounds, components;
+    int side, pixels, stride, planes, positives, unknowns, speckle, shifts, rounds, components, first, length;
     float sigma2, photon, hidden, area, wrong, edge2, width, gain;
 } Scene;
 
-static void put(__global float *to, const floats values) { *(__global loose_floats *)to = values; }
-
-static float sum_of(const floats a)
-{
-    const float8 eight = a.lo + a.hi;
-    const float4 four = eight.lo + eight.hi;
-    return (four.x + four.y) + (four.z + four.w);
-}
-
-static Box common(const Box a, const Box b)
-{
-    const Box c = {max(a.top, b.top), min(a.bottom, b.bottom), max(a.left, b.left), min(a.right, b.right)};
-    return c;
-}
-
-static Box box_of(__global const float *picture, const int side)
-{
-    Box box = {side, 0, side, 0};
-    for (int row = 0; row < side; ++row)
-        for (int column = 0; column < side; column += LANES) {
-            if (sum_of(fabs(floats_at(picture + row * side + column))) == 0.0f) continue;
-            box.top = min(box.top, row);
-            box.bottom = row + 1;
-            box.left = min(box.left, column);
-            box.right = max(box.right, column + LANES);
-        }
-    return box;
-}
-
-// Adds weight * (picture blurred along both axes by 2 radius + 1 taps) to `out`. `line` holds side + 2 radius + LANES
-// numbers, the first and last `radius` of them zero; `between` is a picture.
-static Box blur(__global const float *picture, const Box box, const int side, const float weight,
-    __global const float *taps, const int radius, __global float *line, __global float *between, __global float *out)
-{
-    const Box wide = {max(box.top - radius, 0), min(box.bottom + radius, side),
-        max(box.left - radius, 0) & -LANES, min((box.right + radius + LANES - 1) & -LANES, side)};
-    for (int k = 0; k < side + 2 * radius + LANES; ++k) line[k] = 0.0f;
-    for (int row = box.top; row < box.bottom; ++row) {
-        for (int k = box.left; k < box.right; k += LANES) put(line + radius + k, floats_at(picture + row * side + k));
-        for (int k = wide.left; k < wide.right; k += LANES) {
-            floats sum = 0.0f;
-            for (int t = 0; t <= 2 * radius; ++t) sum += taps[t] * floats_at(line + k + t);
-            put(between + row * side + k, sum);
-        }
-    }
-    for (int row = wide.top; row < wide.bottom; ++row) {
-        const int first = max(row - radius, box.top), last = min(row + radius, box.bottom - 1);
-        for (int k = wide.left; k < wide.right; k += LANES) {
-            floats sum = 0.0f;
-            for (int r = first; r <= last; ++r) sum += taps[r - row + radius] * floats_at(between + r * side + k);
-            put(out + row * side + k, floats_at(out + row * side + k) + weight * sum);
-        }
-    }
-    return wide;
-}
-
-static void slope_across(__global const float *picture, const int side, __global float *out)
-{
-    for (int row = 0; row < side; ++row) {
-        __global const float *from = picture + row * side;
-        __global float *to = out + row * side;
-        to[0] = to[side - 1] = 0.0f;
-        for (int k = 1; k < side - 1; ++k) to[k] = 0.5f * (from[k + 1] - from[k - 1]);
-    }
-}
-
-static void slope_down(__global const float *picture, const int side, __global float *out)
-{
-    for (int k = 0; k < side; k += LANES) {
-        put(out + k, 0.0f);
-        put(out + (side - 1) * side + k, 0.0f);
-    }
-    for (int row = 1; row < side - 1; ++row)
-        for (int k = 0; k < side; k += LANES)
-            put(out + row * side + k,
-                0.5f * (floats_at(picture + (row + 1) * side + k) - floats_at(picture + (row - 1) * side + k)));
-}
-
-// Gauss-Hermite deviations of the point spread, orders 2 to 4: width^n d^n I / sqrt(a! b!), as the twin orders them.
-static void draw_speckle(__global const float *light, const int side, const float width, __global float *spare,
-    __global float *out)
-{
-    const float factorial[5] = {1, 1, 2, 6, 24};
-    const int pixels = side * side;
-    int slot = 0;
-    for (int order = 2; order <= 4; ++order)
-        for (int b = 0; b <= order; ++b, ++slot) {
-            __global const float *from = light;
-            int turn = 0;
-            for (int k = 0; k < order; ++k) {
-                __global float *to = k == order - 1 ? out + slot * pixels : spare + turn * pixels;
-                if (k < order - b) slope_across(from, side, to);
-                else slope_down(from, side, to);
-                from = to;
-                turn ^= 1;
-            }
-            const float factor = pown(width, order) / sqrt(factorial[order - b] * factorial[b]);
-            for (int k = 0; k < pixels; k += LANES)
-                put(out + slot * pixels + k, factor * floats_at(out + slot * pixels + k));
-        }
-}
-
-// Cholesky factor of the lower half of (n, n), in place. False: not positive.
-static bool factorise(__global double *a, const int n)
-{
-    for (int j = 0; j < n; ++j) {
-        double pivot = a[j * n + j];
-        for (int k = 0; k < j; ++k) pivot -= a[j * n + k] * a[j * n + k];
-        if (!(pivot > 0.0)) return false;
-        pivot = sqrt(pivot);
-        a[j * n + j] = pivot;
-        for (int i = j + 1; i < n; ++i) {
-            double sum = a[i * n + j];
-            for (int k = 0; k < j; ++k) sum -= a[i * n + k] * a[j * n + k];
-            a[i * n + j] = sum / pivot;
-        }
-    }
-    return true;
-}
-
-static void solve(__global const double *factor, const int n, __global double *x)
-{
-    for (int i = 0; i < n; ++i) {
-        for (int k = 0; k < i; ++k) x[i] -= factor[i * n + k] * x[k];
-        x[i] /= factor[i * n + i];
-    }
-    for (int i = n - 1; i >= 0; --i) {
-        for (int k = i + 1; k < n; ++k) x[i] -= factor[k * n + i] * x[k];
-        x[i] /= factor[i * n + i];
-    }
-}
-
 typedef struct {
-    __global float *pictures;   // (unknowns, pixels): of each unknown, before its scale
-    __global float *light, *model, *residual, *weight, *weighed, *across, *down, *spare;  // (pixels); spare two
-    __global float *line;
+    __global float *pictures;   // (slots, stride): of each unknown, before its scale
+    __global Box *box;          // (slots)
+    __global float *light, *across, *down, *model, *root, *variance;  // pictures; root: of weights
+    __global float *between;    // (side, length)
     __global float *scale;      // (unknowns)
-    __global Box *box;          // (unknowns)
     __global int *plane;        // (positives) which plane each lit one is
-    __global double *value, *mean, *precision, *move;  // (unknowns)
+    __global double *value, *mean, *precision, *move, *pull;  // (unknowns)
+    __global double *total;     // (slots, slots)
     __global double *normal;    // (unknowns, unknowns)
+    Products products;
 } Room;
 
-static Room room_in(__global float *memory, const Scene s, const int longest)
+static __global float *take(__global float **memory, const int count)
 {
+    __global float *taken = *memory;
+    *memory += (count + LANES - 1) & -LANES;
+    return taken;
+}
+
+// In the order in which LightEvidence counts it.
+static Room room_in(__global float *memory, const Scene s)
+{
+    const int width = (s.unknowns + EIGHT - 1) & -EIGHT, slots = s.unknowns - 1;
     Room r;
-    r.normal = (__global double *)memory;
-    r.value = r.normal + s.unknowns * s.unknowns;
-    r.mean = r.value + s.unknowns;
-    r.precision = r.mean + s.unknowns;
-    r.move = r.precision + s.unknowns;
-    r.pictures = (__global float *)(r.move + s.unknowns);
-    r.light = r.pictures + s.unknowns * s.pixels;
-    r.model = r.light + s.pixels;
-    r.residual = r.model + s.pixels;
-    r.weight = r.residual + s.pixels;
-    r.weighed = r.weight + s.pixels;
-    r.across = r.weighed + s.pixels;
-    r.down = r.across + s.pixels;
-    r.spare = r.down + s.pixels;
-    r.line = r.spare + 2 * s.pixels;
-    r.scale = r.line + longest;
-    r.box = (__global Box *)(r.scale + s.unknowns);
-    r.plane = (__global int *)(r.box + s.unknowns);
+    r.normal = (__global double *)take(&memory, 2 * width * width);
+    r.total = (__global double *)take(&memory, 2 * slots * slots);
+    r.value = (__global double *)take(&memory, 2 * width);
+    r.mean = (__global double *)take(&memory, 2 * width);
+    r.precision = (__global double *)take(&memory, 2 * width);
+    r.move = (__global double *)take(&memory, 2 * width);
+    r.pull = (__global double *)take(&memory, 2 * width);
+    r.pictures = take(&memory, slots * s.stride);
+    r.light = take(&memory, s.pixels);
+    r.across = take(&memory, s.pixels);
+    r.down = take(&memory, s.pixels);
+    r.model = take(&memory, s.pixels);
+    r.root = take(&memory, s.pixels);
+    r.variance = take(&memory, s.pixels);
+    r.between = take(&memory, s.side * s.length);
+    r.scale = take(&memory, s.unknowns);
+    r.box = (__global Box *)take(&memory, 4 * slots);
+    r.plane = (__global int *)take(&memory, s.unknowns);
+    const Products products = {r.pictures, r.box, r.root, take(&memory, 2 * max(NEAR, (slots + 3) * EIGHT) * LANES),
+        take(&memory, (slots + 1) * (slots + 1) * LANES), (__global int *)take(&memory, slots + 3), s.side, s.stride, 0};
+    r.products = products;
     return r;
 }
 
-static void add(__global float *to, __global const float *picture, const Box box, const int side, const float by)
+static __global float *picture_in(const Scene s, const Room r, const int slot) { return r.pictures + slot * s.stride; }
+
+// The slot of unknown m of a pose of which `lit` positives are in use; the gain (m == lit) has none.
+static int slot_of(const Scene s, const int lit, const int m)
 {
-    for (int row = box.top; row < box.bottom; ++row)
-        for (int k = box.left; k < box.right; k += LANES)
-            put(to + row * side + k, floats_at(to + row * side + k) + by * floats_at(picture + row * side + k));
+    if (m < lit) return s.first + m;
+    if (m < lit + 3) return EVEN;
+    return m < lit + 6 ? SKY + m - lit - 3 : SPECKLE + m - lit - 6;
 }
 
-static float dot_in(__global const float *a, __global const float *b, const Box box, const int side)
+// Gauss-Hermite deviations of the point spread, orders 2 to 4: d^n I, each from one of the order before; their scale is
+// width^n / sqrt(a! b!).
+static void draw_speckle(const Scene s, const Room r, const Box body)
 {
-    floats sum = 0.0f;
-    for (int row = box.top; row < box.bottom; ++row)
-        for (int k = box.left; k < box.right; k += LANES)
-            sum += floats_at(a + row * side + k) * floats_at(b + row * side + k);
-    return sum_of(sum);
+    int slot = SPECKLE;
+    for (int order = 2; order <= 4; ++order)
+        for (int b = 0; b <= order; ++b, ++slot) {
+            const int before = slot - order - (b > 0);  // the same, one slope less: across, or if there are any down
+            __global const float *from = order > 2 ? picture_in(s, r, before) : b < 2 ? r.across : r.down;
+            if (b == 0) slope_across(from, body, s.side, picture_in(s, r, slot));
+            else slope_down(from, body, s.side, picture_in(s, r, slot));
+        }
 }
 
-// Scales, light, model, residual, weight. `lit` positives are in use; the others' places are those behind them.
-static void draw_model(const Scene s, const Room r, const int lit, const int count, __global const float *offset,
-    __global const float *data, __global const uchar *full, __global const float *bumps)
+// Scales, light, model, residual, weight. `lit` positives are in use.
+static void draw_model(const Scene s, const Room r, const int lit, const int count, const Box body,
+    __global const float *offset, __global const float *data, __global const uchar *full, __global const float *bumps)
 {
     const float gain = (float)exp(r.value[lit]);
-    for (int k = 0; k < s.pixels; k += LANES) put(r.light + k, 0.0f);
+    clear(r.light, body, s.side);
     for (int m = 0; m < lit; ++m) {
         r.scale[m] = gain * (float)exp(r.value[m] + (double)offset[r.plane[m]]);
-        add(r.light, r.pictures + m * s.pixels, r.box[m], s.side, r.scale[m]);
+        add(r.light, picture_in(s, r, s.first + m), r.box[s.first + m], s.side, r.scale[m]);
     }
-    r.scale[lit] = 1.0f;                                    // the gain: its picture is the light
-    r.scale[lit + 1] = gain;                                // even light
-    r.scale[lit + 2] = -s.hidden;                           // sky that the body hides: the same picture
-    add(r.light, r.pictures + (lit + 1) * s.pixels, r.box[lit + 1], s.side, gain * (float)r.value[lit + 1]);
-    for (int k = 0; k < s.pixels; k += LANES) {
-        put(r.pictures + lit * s.pixels + k, floats_at(r.light + k));
-        put(r.model + k, floats_at(r.light + k));
-    }
-    add(r.model, r.pictures + (lit + 1) * s.pixels, r.box[lit + 1], s.side, r.scale[lit + 2] * (float)r.value[lit + 2]);
-    slope_across(r.light, s.side, r.across);
-    slope_down(r.light, s.side, r.down);
-    int m = lit + 3;
-    for (int k = 0; k < 3; ++k, ++m) r.scale[m] = 1.0f;
-    if (s.speckle) {
-        draw_speckle(r.light, s.side, s.width, r.spare, r.pictures + m * s.pixels);
-        for (int k = 0; k < HERMITE; ++k) r.scale[m++] = 1.0f;
-    }
+    r.scale[lit] = 1.0f;
+    r.scale[lit + 1] = gain;
+    r.scale[lit + 2] = -s.hidden;
+    add(r.light, picture_in(s, r, EVEN), body, s.side, gain * (float)r.value[lit + 1]);
+    slope_across(r.light, body, s.side, r.across);
+    slope_down(r.light, body, s.side, r.down);
+    if (s.speckle) draw_speckle(s, r, body);
     if (s.shifts)
-        for (int way = 0; way < 2; ++way)
-            for (int b = 0; b < BUMPS; ++b, ++m) {
-                __global const float *slope = way ? r.down : r.across;
-                for (int k = 0; k < s.pixels; k += LANES)
-                    put(r.pictures + m * s.pixels + k, floats_at(bumps + b * s.pixels + k) * floats_at(slope + k));
-                r.scale[m] = 1.0f;
-            }
-    for (int k = lit + 3; k < count; ++k)
-        add(r.model, r.pictures + k * s.pixels, r.box[k], s.side, r.scale[k] * (float)r.value[k]);
-    for (int k = 0; k < s.pixels; k += LANES) {
-        const floats light = floats_at(r.light + k), dx = floats_at(r.across + k), dy = floats_at(r.down + k);
-        const floats bright = light > 0.0f ? light : 0.0f;
-        const floats variance = (s.sigma2 + s.photon * bright) / s.area
-            + s.wrong * (light * light + s.edge2 * (dx * dx + dy * dy));
-        floats residual = floats_at(data + k) - floats_at(r.model + k);
-        const ints censored = convert_int16(vload16(0, full + k)) != 0;
-        residual = censored & (residual < 0.0f) ? 0.0f : residual;
-        put(r.residual + k, residual);
-        put(r.spare + k, variance);
-        put(r.weight + k, (NU + 1.0f) / ((NU * variance + residual * residual) * s.area));
-    }
-}
-
-// The lower half of J' W J, each unknown's picture times its scale, and J' W r into `move`.
-static void draw_normal(const Scene s, const Room r, const int count)
-{
-    for (int i = 0; i < count; ++i) {
-        const Box mine = r.box[i];
-        __global const float *picture = r.pictures + i * s.pixels;
-        for (int row = mine.top; row < mine.bottom; ++row)
-            for (int k = mine.left; k < mine.right; k += LANES)
-                put(r.weighed + row * s.side + k,
-                    floats_at(r.weight + row * s.side + k) * floats_at(picture + row * s.side + k));
-        r.move[i] = (double)r.scale[i] * (double)dot_in(r.weighed, r.residual, mine, s.side);
-        for (int j = 0; j <= i; ++j) {
-            const Box both = common(mine, r.box[j]);
-            const double sum = (double)dot_in(r.weighed, r.pictures + j * s.pixels, both, s.side);
-            r.normal[i * count + j] = (double)r.scale[i] * (double)r.scale[j] * sum;
+        for (int b = 0; b < 2 * BUMPS; ++b) {
+            __global const float *slope = b < BUMPS ? r.across : r.down, *bump = bumps + b % BUMPS * s.pixels;
+            __global float *to = picture_in(s, r, SPECKLE + HERMITE * s.speckle + b);
+            for (int row = body.top; row < body.bottom; ++row)
+                for (int k = row * s.side + body.left; k < row * s.side + body.right; k += LANES)
+                    put(to + k, floats_at(bump + k) * floats_at(slope + k));
         }
+    const float level = (float)r.value[lit + 3], right = (float)r.value[lit + 4], low = (float)r.value[lit + 5];
+    const float hidden = r.scale[lit + 2] * (float)r.value[lit + 2];
+    __global const float *sky = picture_in(s, r, SKY), *even = picture_in(s, r, EVEN);
+    __global float *residuals = picture_in(s, r, RESIDUAL);
+    for (int row = 0; row < s.side; ++row)
+        for (int column = 0; column < s.side; column += LANES) {
+            const int k = row * s.side + column;
+            const floats light = floats_at(r.light + k);
+            floats model = light + level * floats_at(sky + k);
+            model = fma((floats)right, floats_at(sky + s.stride + k), model);
+            model = fma((floats)low, floats_at(sky + 2 * s.stride + k), model);
+            floats variance = s.sigma2 / s.area;
+            if (row >= body.top && row < body.bottom && column >= body.left && column < body.right) {
+                const floats dx = floats_at(r.across + k), dy = floats_at(r.down + k);
+                variance += s.photon / s.area * fmax(light, 0.0f)
+                    + s.wrong * (light * light + s.edge2 * (dx * dx + dy * dy));
+                model = fma((floats)hidden, floats_at(even + k), model);
+                for (int m = lit + 6; m < count; ++m)
+                    model = fma((floats)(r.scale[m] * (float)r.value[m]),
+                        floats_at(picture_in(s, r, SPECKLE + m - lit - 6) + k), model);
+            }
+            floats residual = floats_at(data + k) - model;
+            const ints censored = convert_int16(vload16(0, full + k)) != 0;
+            residual = censored & (residual < 0.0f) ? 0.0f : residual;
+            put(r.model + k, model);
+            put(residuals + k, residual);
+            put(r.variance + k, variance);
+            put(r.root + k, sqrt(((NU + 1.0f) / s.area) / (NU * variance + residual * residual)));
+        }
+}
+
+// The upper half of J' W J + P, and J' W r - P (value - mean) into `move`.
+static void draw_normal(const Scene s, const Room r, const int lit, const int count, const Box body)
+{
+    const int slots = s.first + lit, width = (count + EIGHT - 1) & -EIGHT;
+    Products all = r.products;
+    all.slots = slots;
+    products(all, body, r.total);
+    for (int i = 0; i < count; ++i) {
+        __global double *row = r.normal + i * width;
+        for (int j = 0; j < width; ++j) row[j] = 0.0;
+        if (i == lit) continue;
+        __global const double *total = r.total + slot_of(s, lit, i) * slots;
+        const double scale = (double)r.scale[i];
+        for (int j = 0; j < count; ++j)
+            if (j != lit) row[j] = scale * (double)r.scale[j] * total[slot_of(s, lit, j)];
+        r.move[i] = scale * total[RESIDUAL];
+    }
+    // The gain's picture is the sum of those of all positives and of the even light's share.
+    double curvature = 0.0, pull = 0.0;
+    __global double *gain = r.normal + lit * width;
+    for (int m = 0; m < lit + 2; ++m) {
+        if (m == lit) continue;
+        const double share = m < lit ? 1.0 : r.value[m];
+        pull += share * r.move[m];
+        for (int j = 0; j < count; ++j) gain[j] += share * r.normal[m * width + j];
+    }
+    for (int m = 0; m < lit; ++m) curvature += gain[m];
+    gain[lit] = curvature + r.value[lit + 1] * gain[lit + 1];
+    r.move[lit] = pull;
+    for (int i = 0; i < count; ++i) {
+        r.normal[i * width + lit] = gain[i];
+        r.normal[i * width + i] += r.precision[i];
+        r.move[i] -= r.precision[i] * (r.value[i] - r.mean[i]);
+    }
+    for (int i = count; i < width; ++i) r.move[i] = 0.0;
+}
+
+// One step of all unknowns. How much its linear model promises, nats.
+static double step(const Room r, const int lit, const int count, const int row)
+{
+    double promised = 0.0;
+    for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
+    solve(r.normal, count, row, r.move);
+    for (int k = 0; k < count; ++k) {
+        promised += 0.5 * r.pull[k] * r.move[k];
+        r.value[k] += k <= lit ? clamp(r.move[k], -LONGEST_STEP, LONGEST_STEP) : r.move[k];
+    }
+    return promised;
+}
+
+// A plane as the camera leaves it, zero where else `body` is: its tiles are read whole.
+static void draw_blurred(const Scene s, const Room r, __global const float *plane, const Box box, const Box body,
+    __global const float *weights, __global const int *radii, __global const float *taps, __global float *out)
+{
+    clear(out, body, s.side);
+    for (int c = 0; c < s.components; ++c) {
+        blur(plane, box, s.side, weights[c], taps, radii[c], r.between, s.length, out);
+        taps += 2 * radii[c] + 1;
     }
 }
 
-// Into `r`: the pictures of the unknowns, their priors and first values. How many positives are lit.
-static int begin(const Scene s, const Room r, __global const float *planes, __global const float *offset,
-    __global const float *given_mean, __global const float *given_precision, __global const float *data,
-    __global const float *slopes, __global const float *weights, __global const int *radii,
-    __global const float *taps, const int positives_first)
+static float most_in(__global const float *picture, const Box box, const int side)
+{
+    floats most = 0.0f;
+    for (int row = box.top; row < box.bottom; ++row)
+        most = fmax(most, most_in_row(picture + row * side, box.left, box.right));
+    return most_of(most);
+}
+
+// Of one work-item, whatever the poses: the sky's pictures, and scales that never change.
+static void prepare(const Scene s, const Room r, __global const float *slopes)
 {
     const Box all = {0, s.side, 0, s.side};
-    int lit = 0;
-    for (int p = 0; p < s.planes; ++p) {
-        const bool even = p == positives_first;
-        if (even) continue;
-        const Box box = box_of(planes + (size_t)p * s.pixels, s.side);
-        if (box.bottom <= box.top) continue;
-        __global float *out = r.pictures + lit * s.pixels;
-        for (int k = 0; k < s.pixels; k += LANES) put(out + k, 0.0f);
-        Box wide = box;
-        __global const float *line = taps;
-        for (int c = 0; c < s.components; ++c) {
-            const Box one = blur(planes + (size_t)p * s.pixels, box, s.side, weights[c], line, radii[c], r.line, r.spare, out);
-            wide.top = min(wide.top, one.top); wide.bottom = max(wide.bottom, one.bottom);
-            wide.left = min(wide.left, one.left); wide.right = max(wide.right, one.right);
-            line += 2 * radii[c] + 1;
-        }
-        floats most = 0.0f;
-        for (int row = wide.top; row < wide.bottom; ++row)
-            for (int k = wide.left; k < wide.right; k += LANES) {
-                const floats here = floats_at(out + row * s.side + k);
-                most = most > here ? most : here;
-            }
-        float top[LANES], highest = 0.0f;
-        vstore16(most, 0, top);
-        for (int k = 0; k < LANES; ++k) highest = max(highest, top[k]);
-        if (highest <= LEAST_LIT) continue;
-        const int number = p < positives_first ? p : p - 1;
-        r.plane[lit] = number;
-        r.box[lit] = wide;
+    for (int k = 0; k < 3; ++k) {
+        clear(picture_in(s, r, SKY + k), all, s.side);
+        add(picture_in(s, r, SKY + k), slopes + k * s.pixels, all, s.side, 1.0f);
+    }
+    for (int slot = 0; slot < EVEN; ++slot) r.box[slot] = all;
+}
+
+// The pictures of the unknowns, their priors and first values. How many positives are lit.
+static int begin(const Scene s, const Room r, __global const float *planes, __global const float *offset,
+    __global const float *given_mean, __global const float *given_precision, __global const float *data,
+    __global const float *weights, __global const int *radii, __global const float *taps, const int groups,
+    Box *body)
+{
+    const Box all = {0, s.side, 0, s.side};
+    int radius = 0, lit = 0;
+    for (int c = 0; c < s.components; ++c) radius = max(radius, radii[c]);
+    __global const float *covered = planes + groups * s.pixels;
+    const Box cover = box_of(covered, all, s.side, 0.0f);
+    *body = cover;
+    if (cover.top < cover.bottom) *body = widened(cover, radius + (s.speckle ? 4 : 1), s.side);
+    for (int slot = EVEN; slot < s.first; ++slot) r.box[slot] = *body;
+    draw_blurred(s, r, covered, cover, *body, weights, radii, taps, picture_in(s, r, EVEN));
+    for (int p = 0; p < s.positives; ++p) {
+        __global const float *plane = planes + (p < groups ? p : p + 1) * s.pixels;
+        const Box box = box_of(plane, cover, s.side, LEAST_LIT);
+        if (box.top >= box.bottom) continue;
+        const int slot = s.first + lit;
+        const Box wide = widened(box, radius, s.side);
+        draw_blurred(s, r, plane, box, *body, weights, radii, taps, picture_in(s, r, slot));
+        if (most_in(picture_in(s, r, slot), wide, s.side) <= LEAST_LIT) continue;
+        r.box[slot] = wide;
+        r.plane[lit] = p;
         r.mean[lit] = 0.0;
-        r.precision[lit] = (double)given_precision[number];
+        r.precision[lit] = (double)given_precision[p];
         ++lit;
     }
-    __global float *even = r.pictures + (lit + 1) * s.pixels;
-    for (int k = 0; k < s.pixels; k += LANES) put(even + k, 0.0f);
-    const Box box = box_of(planes + (size_t)positives_first * s.pixels, s.side);
-    if (box.bottom > box.top) {
-        __global const float *line = taps;
-        for (int c = 0; c < s.components; ++c) {
-            blur(planes + (size_t)positives_first * s.pixels, box, s.side, weights[c], line, radii[c], r.line, r.spare, even);
-            line += 2 * radii[c] + 1;
-        }
+    for (int k = s.positives; k < s.unknowns; ++k) {
+        r.mean[lit + k - s.positives] = (double)given_mean[k];
+        r.precision[lit + k - s.positives] = (double)given_precision[k];
     }
-    for (int k = 0; k < s.pixels; k += LANES) put(even + s.pixels + k, floats_at(even + k));
-    for (int k = 0; k < 3 * s.pixels; k += LANES) put(even + 2 * s.pixels + k, floats_at(slopes + k));
-    const int more = 6 + (s.speckle ? HERMITE : 0) + (s.shifts ? 2 * BUMPS : 0);
-    for (int k = 0; k < more; ++k) {
-        r.mean[lit + k] = (double)given_mean[s.positives + k];
-        r.precision[lit + k] = (double)given_precision[s.positives + k];
-        r.box[lit + k] = all;
+    for (int k = 0; k < lit + s.unknowns - s.positives; ++k) {
+        r.value[k] = r.mean[k];
+        r.scale[k] = 1.0f;
     }
-    for (int k = 0; k < lit + more; ++k) r.value[k] = r.mean[k];
+    if (s.speckle) {
+        const float factorial[5] = {1, 1, 2, 6, 24};
+        int m = lit + 6;
+        for (int order = 2; order <= 4; ++order)
+            for (int b = 0; b <= order; ++b)
+                r.scale[m++] = pown(s.width, order) / sqrt(factorial[order - b] * factorial[b]);
+    }
     // The gain by least squares, everything else at its prior.
-    for (int k = 0; k < s.pixels; k += LANES) put(r.light + k, 0.0f);
+    clear(r.light, all, s.side);
     for (int m = 0; m < lit; ++m)
-        add(r.light, r.pictures + m * s.pixels, r.box[m], s.side, exp(offset[r.plane[m]]));
-    add(r.light, even, all, s.side, (float)r.mean[lit + 1]);
-    const float power = dot_in(r.light, r.light, all, s.side), likeness = dot_in(r.light, data, all, s.side);
+        add(r.light, picture_in(s, r, s.first + m), r.box[s.first + m], s.side, exp(offset[r.plane[m]]));
+    add(r.light, picture_in(s, r, EVEN), *body, s.side, (float)r.mean[lit + 1]);
+    const float power = dot_in(r.light, r.light, *body, s.side), likeness = dot_in(r.light, data, *body, s.side);
     if (power > 0.0f && likeness > 0.0f)
         r.value[lit] = (double)clamp(log(likeness / power), s.gain - 4.0f, s.gain + 4.0f);
     return lit;
+}
+
+// Sum of log t of the residuals, and the mean square of those on the body over their scale.
+static double log_density(const Scene s, const Room r, float *chi2)
+{
+    const double density = lgamma(0.5 * (NU + 1.0)) - lgamma(0.5 * NU) - 0.5 * log(NU * M_PI);
+    __global const float *residuals = picture_in(s, r, RESIDUAL);
+    floats misfit = 0.0f, body = 0.0f;
+    double total = 0.0;
+    for (int row = 0; row < s.side; ++row) {
+        floats sum = 0.0f;
+        for (int k = row * s.side; k < (row + 1) * s.side; k += LANES) {
+            const floats residual = floats_at(residuals + k), variance = floats_at(r.variance + k);
+            const floats light = floats_at(r.light + k), part = residual * residual / variance;
+            sum += 0.5f * log(variance) + 0.5f * (NU + 1.0f) * log(1.0f + part / NU);
+            const ints on = light * light > s.sigma2 / s.area;
+            misfit += on ? part : 0.0f;
+            body += on ? 1.0f : 0.0f;
+        }
+        total -= (double)sum_of(sum);
+    }
+    *chi2 = sum_of(body) > 0.0f ? sum_of(misfit) / sum_of(body) : 0.0f;
+    return total + density * s.pixels;
+}
+
+// For Gauss-Newton: count; residual, weight, model, light; then every scaled picture, precision, deviation.
+static void tell(const Scene s, const Room r, const int lit, const int count, const Box body, __global float *out)
+{
+    const Box all = {0, s.side, 0, s.side};
+    __global float *to = out + LANES;
+    __global const float *residual = picture_in(s, r, RESIDUAL);
+    out[0] = count;
+    for (int k = 0; k < s.pixels; k += LANES) {
+        const floats root = floats_at(r.root + k);
+        put(to + k, floats_at(residual + k));
+        put(to + s.pixels + k, root * root);
+        put(to + 2 * s.pixels + k, floats_at(r.model + k));
+        put(to + 3 * s.pixels + k, floats_at(r.light + k));
+    }
+    to += 4 * s.pixels;
+    for (int i = 0; i < count; ++i, to += s.pixels) {
+        __global const float *picture = i == lit ? r.light : picture_in(s, r, slot_of(s, lit, i));
+        const Box box = i == lit ? body : r.box[slot_of(s, lit, i)];
+        for (int row = 0; row < s.side; ++row)
+            for (int column = 0; column < s.side; column += LANES) {
+                const bool in = row >= box.top && row < box.bottom && column >= box.left && column < box.right;
+                const int k = row * s.side + column;
+                put(to + k, in ? r.scale[i] * floats_at(picture + k) : (floats)0.0f);
+            }
+    }
+    to += (s.unknowns - count) * s.pixels;
+    for (int i = 0; i < count; ++i) {
+        to[i] = (float)r.precision[i];
+        to[s.unknowns + i] = (float)(r.value[i] - r.mean[i]);
+    }
 }
 
 // out (N, 4): log evidence, chi2 of the body, log det, squared deviation; values (N, planes) what `combined` takes.
@@ -347,61 +348,40 @@ __kernel void evidence(
     __global const float *given_precision, __global const float *data, __global const uchar *full,
     __global const float *slopes, __global const float *bumps, __global const float *weights,
     __global const int *radii, __global const float *taps, const int groups, const int side, const int n_planes,
-    const int speckle, const int shifts, const int rounds, const int components, const float sigma2,
-    const float photon, const float hidden, const float area, const float wrong, const float edge2,
-    const float width, const float gain, __global float *out, __global float *coefficients,
-    __global float *details, __global float *memory, const int each, const int longest,
-    volatile __global int *next)
+    const int speckle, const int shifts, const int rounds, const int components, const int length,
+    const float sigma2, const float photon, const float hidden, const float area, const float wrong,
+    const float edge2, const float width, const float gain, __global float *out, __global float *coefficients,
+    __global float *details, __global float *memory, const ulong each, volatile __global int *next)
 {
-    const int most = n_planes - 1 + 6 + (speckle ? HERMITE : 0) + (shifts ? 2 * BUMPS : 0);
-    const Scene s = {side, side * side, n_planes, n_planes - 1, most, speckle, shifts, rounds, components,
-        sigma2, photon, hidden, area, wrong, edge2, width, gain};
-    const Room r = room_in(memory + get_global_id(0) * (size_t)each, s, longest);
+    const int more = (speckle ? HERMITE : 0) + (shifts ? 2 * BUMPS : 0), pixels = side * side;
+    const Scene s = {side, pixels, pixels + ODD * LANES, n_planes, n_planes - 1, n_planes - 1 + 6 + more, speckle,
+        shifts, rounds, components, EVEN + 1 + more, length, sigma2, photon, hidden, area, wrong, edge2, width, gain};
+    const Room r = room_in(memory + get_global_id(0) * each, s);
+    prepare(s, r, slopes);
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
-        const int lit = begin(s, r, planes + (size_t)pose * n_planes * s.pixels, offset, given_mean, given_precision,
-            data, slopes, weights, radii, taps, groups);
-        const int count = lit + most - s.positives;
-        draw_model(s, r, lit, count, offset, data, full, bumps);
-        for (int round = 0; round < rounds; ++round) {
-            draw_normal(s, r, count);
-            for (int k = 0; k < count; ++k) {
-                r.normal[k * count + k] += r.precision[k];
-                r.move[k] -= r.precision[k] * (r.value[k] - r.mean[k]);
-            }
-            if (!factorise(r.normal, count)) break;
-            solve(r.normal, count, r.move);
-            for (int k = 0; k < count; ++k)
-                r.value[k] += k <= lit ? clamp(r.move[k], -LONGEST_STEP, LONGEST_STEP) : r.move[k];
-            draw_model(s, r, lit, count, offset, data, full, bumps);
+        Box body;
+        const int lit = begin(s, r, planes + (size_t)pose * n_planes * pixels, offset, given_mean, given_precision,
+            data, weights, radii, taps, groups, &body);
+        const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
+        draw_model(s, r, lit, count, body, offset, data, full, bumps);
+        bool sound = true, still = false;
+        for (int round = 0; round < rounds && sound && !still; ++round) {
+            draw_normal(s, r, lit, count, body);
+            sound = factorise(r.normal, count, row);
+            if (sound) still = step(r, lit, count, row) < STILL;
+            draw_model(s, r, lit, count, body, offset, data, full, bumps);
         }
-        draw_normal(s, r, count);
+        draw_normal(s, r, lit, count, body);
+        sound = factorise(r.normal, count, row);
         double logdet = 0.0, squares = 0.0;
         for (int i = 0; i < count; ++i) {
-            for (int j = 0; j <= i; ++j) r.normal[i * count + j] /= sqrt(r.precision[i] * r.precision[j]);
-            r.normal[i * count + i] += 1.0;
+            logdet += 2.0 * log(r.normal[i * row + i]) - log(r.precision[i]);
             squares += r.precision[i] * (r.value[i] - r.mean[i]) * (r.value[i] - r.mean[i]);
         }
-        const bool sound = factorise(r.normal, count);
-        for (int i = 0; i < count; ++i) logdet += 2.0 * log(r.normal[i * count + i]);
-        floats sum = 0.0f, misfit = 0.0f, body = 0.0f;
-        double total = 0.0;
-        for (int row = 0; row < side; ++row) {
-            sum = 0.0f;
-            for (int k = row * side; k < (row + 1) * side; k += LANES) {
-                const floats residual = floats_at(r.residual + k), variance = floats_at(r.spare + k);
-                const floats light = floats_at(r.light + k), part = residual * residual / variance;
-                sum -= 0.5f * log(variance) + 0.5f * (NU + 1.0f) * log1p(part / NU);
-                const ints on = light * light > sigma2 / area;
-                misfit += on ? part : 0.0f;
-                body += on ? 1.0f : 0.0f;
-            }
-            total += (double)sum_of(sum);
-        }
-        const double density = lgamma(0.5 * (NU + 1.0)) - lgamma(0.5 * NU) - 0.5 * log(NU * M_PI);
-        const double value = (total + density * s.pixels) / area - 0.5 * squares - 0.5 * logdet;
-        const float bodies = sum_of(body);
+        float chi2;
+        const double value = log_density(s, r, &chi2) / area - 0.5 * squares - 0.5 * logdet;
         out[4 * pose] = sound ? (float)value : -INFINITY;
-        out[4 * pose + 1] = bodies > 0.0f ? sum_of(misfit) / bodies : 0.0f;
+        out[4 * pose + 1] = chi2;
         out[4 * pose + 2] = (float)logdet;
         out[4 * pose + 3] = (float)squares;
         __global float *drawn = coefficients + (size_t)pose * n_planes;
@@ -409,27 +389,7 @@ __kernel void evidence(
         for (int p = 0; p < s.positives; ++p) drawn[p < groups ? p : p + 1] = bright * exp(offset[p]);
         for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + 1] = r.scale[m];
         drawn[groups] = bright * (float)r.value[lit + 1] - hidden * (float)r.value[lit + 2];
-        if (details) {  // count; residual, weight, model, light; then every scaled picture, precision, deviation
-            const size_t size = LANES + (size_t)(4 + s.unknowns) * s.pixels + 2 * s.unknowns;
-            __global float *to = details + pose * size + LANES;
-            details[pose * size] = count;
-            for (int k = 0; k < s.pixels; ++k) {
-                to[k] = r.residual[k];
-                to[s.pixels + k] = r.weight[k];
-                to[2 * s.pixels + k] = r.model[k];
-                to[3 * s.pixels + k] = r.light[k];
-            }
-            to += 4 * s.pixels;
-            for (int i = 0; i < count; ++i) {
-                __global float *column = to + i * s.pixels;
-                for (int k = 0; k < s.pixels; ++k) column[k] = 0.0f;
-                add(column, r.pictures + i * s.pixels, r.box[i], side, r.scale[i]);
-            }
-            to += s.unknowns * s.pixels;
-            for (int i = 0; i < count; ++i) {
-                to[i] = (float)r.precision[i];
-                to[s.unknowns + i] = (float)(r.value[i] - r.mean[i]);
-            }
-        }
+        if (details)
+            tell(s, r, lit, count, body, details + pose * (size_t)(LANES + (4 + s.unknowns) * pixels + 2 * s.unknowns));
     }
 }

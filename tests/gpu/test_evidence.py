@@ -1,0 +1,167 @@
+"""The light's evidence on the device, against its readable twin."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gpu.device import find_devices
+from gpu.evidence import LightEvidence, open_evidence
+from service.inference.model.likelihood import ROUNDS, Fit, Scene, fit_light, terms_of
+from service.inference.model.spread import PointSpread, spread
+
+KINDS = sorted({report.kind for report in find_devices() if report.rejected is None})
+NATS, RELATIVE = 0.05, 1e-3
+SHARP, TURBULENT = PointSpread(1.2), PointSpread(1.0, 0.8)
+CASES = {  # side, groups, gloss planes, point spread, speckle and shifts
+    "least patch": (16, 2, 0, SHARP, False),
+    "least patch, all unknowns": (16, 3, 3, TURBULENT, True),
+    "coarse": (48, 6, 0, SHARP, False),
+    "coarse, wings": (48, 5, 5, TURBULENT, False),
+    "speckle": (48, 5, 5, SHARP, True),
+    "speckle and shifts": (48, 4, 2, TURBULENT, True),
+    "fine": (96, 12, 12, SHARP, True),
+}
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def light(request) -> Iterator[LightEvidence]:
+    opened = open_evidence(request.param)
+    yield opened
+    opened.close()
+
+
+def wedges(rng: np.random.Generator, side: int, groups: int, glossy: int) -> np.ndarray:
+    """(Q, side, side): a disc cut like a cake, each piece evenly lit but the last, which is dark; gloss in spots."""
+    y, x = np.mgrid[:side, :side] + 0.5
+    cx, cy = rng.uniform(0.35, 0.65, 2) * side
+    radius = rng.uniform(0.2, 0.4) * side
+    disc = np.clip(radius - np.hypot(x - cx, y - cy), 0, 1)
+    piece = np.floor((np.arctan2(y - cy, x - cx) / (2 * np.pi) + 0.5) * groups).clip(0, groups - 1)
+    shades = rng.uniform(0.3, 1.0, groups) * (np.arange(groups) < max(groups - 1, 1))
+    lit = disc * (piece == np.arange(groups)[:, None, None]) * shades[:, None, None]
+    spots = [
+        disc * np.exp(-0.5 * np.hypot(x - sx, y - sy) ** 2 / 1.5**2) for sx, sy in _places(rng, cx, cy, radius, glossy)
+    ]
+    spots = [spot * (spot > 1e-3) * (k % 3 > 0) for k, spot in enumerate(spots)]  # a third of them are empty
+    return np.stack([*lit, disc, *spots]).astype(np.float32)
+
+
+def _places(rng: np.random.Generator, cx: float, cy: float, radius: float, count: int) -> np.ndarray:
+    return np.array([cx, cy]) + rng.uniform(-0.6, 0.6, (count, 2)) * radius
+
+
+def scene_of(
+    rng: np.random.Generator, planes: np.ndarray, groups: int, point_spread: PointSpread, shifts: bool
+) -> Scene:
+    """A noisy frame of the first pose's body, some of it brighter than pixels can tell."""
+    albedo = np.exp(rng.normal(0, 0.5, len(planes)))
+    albedo[groups:] *= 0.1
+    image = spread(np.tensordot(900.0 * albedo, planes, 1).astype(np.float32)[None], point_spread, 0.0)[0]
+    image = image + rng.normal(0, 1, image.shape) * np.sqrt(25.0 + 0.5 * image)
+    most = float(np.quantile(image, 0.995))
+    return Scene(
+        image=np.minimum(image, most).astype(np.float32),
+        sigma=5.0,
+        photon=0.5,
+        hidden=40.0,
+        censored=image >= most,
+        point_spread=point_spread,
+        shifts=shifts,
+    )
+
+
+def agrees(answers, k: int, wanted: Fit) -> None:
+    tolerance = NATS + RELATIVE * abs(wanted.log_evidence) * 0.1
+    assert answers.log_evidence[k] == pytest.approx(wanted.log_evidence, abs=tolerance)
+    assert answers.chi2[k] == pytest.approx(wanted.chi2, rel=1e-2, abs=1e-3)
+    scale = np.abs(wanted.coefficients).max()
+    np.testing.assert_allclose(answers.coefficients[k], wanted.coefficients, rtol=RELATIVE, atol=RELATIVE * scale)
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("rounds", [2, ROUNDS])
+def test_evidence_is_the_twins(light, name, rounds):
+    side, groups, glossy, point_spread, shifts = CASES[name]
+    rng = np.random.default_rng(side + groups)
+    planes = np.stack([wedges(rng, side, groups, glossy) for _ in range(4)])
+    terms = terms_of(scene_of(rng, planes[0], groups, point_spread, shifts), groups, planes.shape[1])
+    assert terms.full.any()
+    found = light.evidence(planes, groups, terms, rounds)
+    for k, one in enumerate(planes):
+        agrees(found, k, fit_light(one, groups, terms, rounds))
+
+
+@pytest.mark.parametrize("name", ["least patch", "coarse, wings", "speckle and shifts"])
+def test_details_are_what_the_twin_knows(light, name):
+    side, groups, glossy, point_spread, shifts = CASES[name]
+    rng = np.random.default_rng(7)
+    planes = np.stack([wedges(rng, side, groups, glossy) for _ in range(2)])
+    terms = terms_of(scene_of(rng, planes[0], groups, point_spread, shifts), groups, planes.shape[1])
+    found, details = light.details(planes, groups, terms, ROUNDS)
+    for k, one in enumerate(planes):
+        wanted = fit_light(one, groups, terms)
+        agrees(found, k, wanted)
+        bright = float(np.abs(terms.data).max())
+        for name in ("residual", "model", "light"):
+            np.testing.assert_allclose(getattr(details[k], name), getattr(wanted, name), atol=RELATIVE * bright)
+        # One pixel that is counted as full or not changes its own weight by all of it.
+        apart = np.abs(details[k].weight - wanted.weight) > 1e-2 * wanted.weight
+        assert apart.mean() < 2e-3
+        np.testing.assert_array_equal(details[k].precision, wanted.precision)
+        np.testing.assert_allclose(details[k].deviation, wanted.deviation, atol=5e-3)
+        assert details[k].columns.shape == wanted.columns.shape
+        for column, expected in zip(details[k].columns, wanted.columns, strict=True):
+            np.testing.assert_allclose(column, expected, atol=2e-3 * max(np.abs(expected).max(), 1e-3 * bright))
+
+
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_poses_do_not_hear_of_each_other(light, count):
+    rng = np.random.default_rng(3)
+    planes = np.stack([wedges(rng, 32, 4, 4) for _ in range(7)])
+    terms = terms_of(scene_of(rng, planes[0], 4, SHARP, True), 4, 9)
+    whole, (some, more) = light.evidence(planes, 4, terms, 4), light.details(planes[:count], 4, terms, 4)
+    assert some.log_evidence.shape == (count,) and some.coefficients.shape == (count, 9) and len(more) == count
+    np.testing.assert_allclose(some.log_evidence, whole.log_evidence[:count], rtol=1e-6)
+    np.testing.assert_allclose(some.coefficients, whole.coefficients[:count], rtol=1e-5)
+
+
+def edge_cases() -> dict[str, np.ndarray]:
+    """Planes of 3 groups and 3 gloss planes on 48 pixels: bodies that are hardly there."""
+    one = wedges(np.random.default_rng(5), 48, 3, 3)
+    nowhere, dark, dim, corner, pixel = (np.zeros_like(one) for _ in range(5))
+    dark[3] = one[3]  # in shadow: even light only
+    dim[:] = 2e-5 * one
+    dim[3] = one[3]  # each plane below what counts as lit
+    corner[:, -9:, -7:] = one[:, 20:29, 20:27]
+    pixel[[0, 3], 0, 47] = 0.7
+    return {"nowhere": nowhere, "dark": dark, "dim": dim, "corner": corner, "pixel": pixel}
+
+
+@pytest.mark.parametrize("point_spread", [SHARP, TURBULENT], ids=["sharp", "turbulent"])
+@pytest.mark.parametrize("name", edge_cases())
+def test_bodies_that_are_hardly_there(light, name, point_spread):
+    planes = edge_cases()[name]
+    rng = np.random.default_rng(6)
+    terms = terms_of(scene_of(rng, wedges(rng, 48, 3, 3), 3, point_spread, True), 3, 7)
+    found = light.evidence(planes[None], 3, terms, ROUNDS)
+    assert np.isfinite(found.coefficients).all()
+    agrees(found, 0, fit_light(planes, 3, terms))
+
+
+@pytest.mark.parametrize("full", [False, True], ids=["no pixel", "every pixel"])
+def test_pixels_of_which_only_a_least_value_is_known(light, full):
+    rng = np.random.default_rng(8)
+    planes = wedges(rng, 32, 3, 3)
+    scene = scene_of(rng, planes, 3, SHARP, True)
+    terms = terms_of(replace(scene, censored=np.full((32, 32), full)), 3, 7)
+    agrees(light.evidence(planes[None], 3, terms, ROUNDS), 0, fit_light(planes, 3, terms))
+
+
+def test_a_side_of_no_whole_lanes_is_refused(light):
+    rng = np.random.default_rng(1)
+    planes = wedges(rng, 40, 2, 0)
+    terms = terms_of(scene_of(rng, planes, 2, SHARP, False), 2, 3)
+    with pytest.raises(ValueError, match="40"):
+        light.evidence(planes[None], 2, terms, 2)
