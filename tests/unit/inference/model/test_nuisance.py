@@ -1,0 +1,54 @@
+"""Point spread and discrepancy of a frame: what explains it best at its best poses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lit_body import QUALITY, SUN, VIEW, lit_body, pose, scene, seen, shares
+
+from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
+from service.inference.numerics.gauss_newton import Hill, PosePrior
+from service.inference.pose import concatenate, retract
+from service.inference.state import Poses
+
+SIGMA = 4.0
+
+
+def hill(image: np.ndarray, start: Nuisance, **others) -> Hill:
+    noisy = image + np.random.default_rng(2).normal(0, SIGMA, image.shape)
+    given = scene(noisy, SIGMA, start.core, start.wings, low_pass=1.0, **others)
+    return Hill(given, lit_body(), VIEW, PosePrior(towards_sun=SUN), QUALITY)
+
+
+def some() -> Poses:
+    """The truth behind a pose that explains little."""
+    return concatenate(retract(pose(), np.array([[0.5, -0.4, 0.3, 4.0, 3.0, 0.1, 30.0]])), pose())
+
+
+@pytest.mark.parametrize(("core", "wings"), [(0.9, 0.0), (1.9, 0.0), (1.0, 1.3)])
+@pytest.mark.parametrize("first", [0.8, 2.4])
+def test_the_point_spread_is_found_from_either_side(core, wings, first):
+    start = Nuisance(first, 0.4, 0.05)
+    image = seen(pose(), shares(lit_body(), 900.0), core=core, wings=wings)
+    found = best_spread(hill(image, start), some(), np.tile(SUN, (2, 1)), start)
+    wanted = Nuisance(core, wings)
+    assert found.point_spread(1.0).width == pytest.approx(wanted.point_spread(1.0).width, rel=0.2)
+    assert found.discrepancy == start.discrepancy
+
+
+def test_a_mesh_that_is_further_from_right_has_more_discrepancy():
+    """Paint that the model does not know of: bright and dark patches all over the body."""
+    found = []
+    clean = seen(pose(), shares(lit_body(), 900.0))
+    rough = np.random.default_rng(5).normal(size=(8, 8)).repeat(8, axis=0).repeat(8, axis=1)
+    for share in (0.0, 0.05, 0.3):
+        start = Nuisance(1.3, 0.0)
+        on = hill(clean * (1 + share * rough), start)
+        found.append(best_discrepancy(on, some(), np.tile(SUN, (2, 1)), start).discrepancy)
+    assert found == sorted(found)
+    assert found[0] < found[2]
+
+
+def test_squares_of_pixels_make_the_point_spread_smaller():
+    one = replace(Nuisance(2.0, 1.0), discrepancy=0.1)
+    assert one.point_spread(2.0).core == 1.0 and one.point_spread(2.0).wings == 0.5
