@@ -187,7 +187,7 @@ def _lanes(count: int) -> int:
 def _room(unknowns: int, n_planes: int, side: int, length: int) -> int:
     """Numbers of one work-item, as ``room_in`` deals them out."""
     slots, width, pixels = unknowns - 1, -(-unknowns // EIGHT) * EIGHT, side * side
-    vectors = 5 * _lanes(2 * width) + 2 * _lanes(unknowns) + _lanes(4 * slots) + _lanes(slots + 3)
+    vectors = 5 * _lanes(2 * width) + 2 * _lanes(unknowns) + _lanes(4 * slots) + _lanes(slots + 3) + _lanes(slots * (side // LANES))
     matrices = _lanes(2 * width * width) + _lanes(2 * slots * slots) + (slots + 1) ** 2 * LANES
     pictures = slots * (pixels + ODD * LANES) + 6 * pixels + side * length
     return vectors + matrices + pictures + 2 * max(NEAR, (slots + 3) * EIGHT) * LANES

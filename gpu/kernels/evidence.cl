@@ -16,6 +16,7 @@
 #define RESIDUAL 3
 #define EVEN 4
 #define SPECKLE 5
+#define FAINT 1e-4f  // of the noise: where no pixel of a tile may show more of a picture, it is left out there
 #define ODD 5  // lanes between pictures: at whole pages apart they would push each other out of the nearest cache
 
 typedef struct {
@@ -66,7 +67,7 @@ static Room room_in(__global float *memory, const Scene s)
     r.scale = take(&memory, s.unknowns);
     r.box = (__global Box *)take(&memory, 4 * slots);
     r.plane = (__global int *)take(&memory, s.unknowns);
-    const Products products = {r.pictures, r.box, r.root, take(&memory, 2 * max(NEAR, (slots + 3) * EIGHT) * LANES),
+    const Products products = {r.pictures, (__global uint *)take(&memory, slots * (s.side / LANES)), r.root, take(&memory, 2 * max(NEAR, (slots + 3) * EIGHT) * LANES),
         take(&memory, (slots + 1) * (slots + 1) * LANES), (__global int *)take(&memory, slots + 3), s.side, s.stride, 0};
     r.products = products;
     return r;
@@ -213,6 +214,17 @@ static void draw_blurred(const Scene s, const Room r, __global const float *plan
     }
 }
 
+// Notes where a picture reaches at all.
+static void note_reach(const Scene s, const Room r, const int slot, const Box box)
+{
+    const float least = min(LEAST_LIT, FAINT * sqrt(s.sigma2) * exp(-s.gain));
+    __global uint *reach = r.products.reach + slot * (s.side / LANES);
+    for (int column = 0; column < s.side; column += LANES) {
+        const bool in = box.left <= column && column < box.right;
+        reach[column / LANES] = in ? reach_of(picture_in(s, r, slot), box, s.side, column, least) : 0;
+    }
+}
+
 static float most_in(__global const float *picture, const Box box, const int side)
 {
     floats most = 0.0f;
@@ -229,7 +241,10 @@ static void prepare(const Scene s, const Room r, __global const float *slopes)
         clear(picture_in(s, r, SKY + k), all, s.side);
         add(picture_in(s, r, SKY + k), slopes + k * s.pixels, all, s.side, 1.0f);
     }
-    for (int slot = 0; slot < EVEN; ++slot) r.box[slot] = all;
+    for (int slot = 0; slot < EVEN; ++slot) {
+        r.box[slot] = all;
+        for (int k = 0; k < s.side / LANES; ++k) r.products.reach[slot * (s.side / LANES) + k] = ~0u;
+    }
 }
 
 // The pictures of the unknowns, their priors and first values. How many positives are lit.
@@ -244,8 +259,13 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
     __global const float *covered = planes + groups * s.pixels;
     const Box cover = box_of(covered, all, s.side, 0.0f);
     *body = cover;
-    if (cover.top < cover.bottom) *body = widened(cover, radius + (s.speckle ? 4 : 1), s.side);
-    for (int slot = EVEN; slot < s.first; ++slot) r.box[slot] = *body;
+    if (cover.top < cover.bottom) *body = in_units(widened(cover, radius + (s.speckle ? 4 : 1), s.side), s.side);
+    for (int slot = EVEN; slot < s.first; ++slot) {
+        r.box[slot] = *body;
+        for (int column = 0; column < s.side; column += LANES)
+            r.products.reach[(slot * s.side + column) / LANES]
+                = body->left <= column && column < body->right ? units_of(s.side, body->top, body->bottom) : 0;
+    }
     draw_blurred(s, r, covered, cover, *body, weights, radii, taps, picture_in(s, r, EVEN));
     for (int p = 0; p < s.positives; ++p) {
         __global const float *plane = planes + (p < groups ? p : p + 1) * s.pixels;
@@ -256,6 +276,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         draw_blurred(s, r, plane, box, *body, weights, radii, taps, picture_in(s, r, slot));
         if (most_in(picture_in(s, r, slot), wide, s.side) <= LEAST_LIT) continue;
         r.box[slot] = wide;
+        note_reach(s, r, slot, wide);
         r.plane[lit] = p;
         r.mean[lit] = 0.0;
         r.precision[lit] = (double)given_precision[p];

@@ -8,9 +8,44 @@
 #define EIGHT 8
 #define NEAR 704  // rows of a lane each that the nearest cache holds
 
+// 32 units of rows are a side at the least.
+static int unit_of(const int side) { return max(4, (side + 31) / 32); }
+
+// Of one lane of columns: bit k is set if a picture is above `least` in the k-th unit of its rows.
+static uint reach_of(__global const float *picture, const Box box, const int side, const int column, const float least)
+{
+    const int unit = unit_of(side);
+    uint reach = 0;
+    for (int row = box.top; row < box.bottom;) {
+        const int k = row / unit;
+        floats most = 0.0f;
+        for (; row < min((k + 1) * unit, box.bottom); ++row)
+            most = fmax(most, fabs(floats_at(picture + row * side + column)));
+        if (most_of(most) > least) reach |= 1u << k;
+    }
+    return reach;
+}
+
+// The least box of whole units around a box.
+static Box in_units(Box box, const int side)
+{
+    const int unit = unit_of(side);
+    box.top -= box.top % unit;
+    box.bottom = min((box.bottom + unit - 1) / unit * unit, side);
+    return box;
+}
+
+// The bits of rows `top` to `bottom`.
+static uint units_of(const int side, const int top, const int bottom)
+{
+    if (top >= bottom) return 0;
+    const int first = top / unit_of(side), last = (bottom - 1) / unit_of(side);
+    return (2u << last) - (1u << first);
+}
+
 typedef struct {
     __global float *pictures;     // (slots, stride)
-    __global Box *box;            // (slots)
+    __global uint *reach;         // (slots, lanes of a side): bit k is set if the picture reaches the k-th UNIT of rows
     __global const float *root;   // a picture: square roots of the weights
     __global float *tile;         // what the nearest cache holds: the pictures of one tile, each times the root
     __global float *sums;         // (slots + 1, slots + 1, LANES)
@@ -65,7 +100,7 @@ static void add_tile(const Products p, const int top, const int rows, const int 
 // total (slots, slots): sums over all pixels of weight * picture i * picture j; both halves.
 static void products(const Products p, const Box body, __global double *total)
 {
-    const int slots = p.slots, tall = max(NEAR / slots, EIGHT);
+    const int slots = p.slots, tall = max(NEAR / slots, EIGHT), lanes = p.side / LANES;
     for (int i = 0; i < slots; ++i)
         for (int j = 0; j <= i; ++j) put(p.sums + (i * (slots + 1) + j) * LANES, 0.0f);
     for (int column = 0; column < p.side; column += LANES) {
@@ -74,11 +109,11 @@ static void products(const Products p, const Box body, __global double *total)
             // Tiles end where the body does: beyond it there is sky alone.
             const int end = top < body.top ? body.top : top < body.bottom ? body.bottom : p.side;
             const int tiles = (end - top + tall - 1) / tall, rows = (end - top + tiles - 1) / tiles;
+            const uint units = units_of(p.side, top, top + rows);
             int n = 0;
             for (int i = 0; i < slots; ++i) {
-                const Box box = p.box[i];
                 p.reaching[n] = i;
-                n += box.left <= column && column < box.right && box.top < top + rows && top < box.bottom;
+                n += (p.reach[i * lanes + column / LANES] & units) != 0;
             }
             add_tile(p, top, rows, column, n);
             top += rows;

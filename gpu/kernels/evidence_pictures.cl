@@ -107,9 +107,12 @@ static void blur(__global const float *picture, const Box box, const int side, c
     for (int row = wide.top; row < wide.bottom; ++row)
         for (int k = wide.left; k < wide.right; k += LANES) {
             __global const float *from = between + row * length + margin + k - radius;
-            floats sum = floats_at(out + row * side + k);
-            for (int t = 0; t <= 2 * radius; ++t) sum = fma((floats)taps[t], floats_at(from + t), sum);
-            put(out + row * side + k, sum);
+            floats sum = floats_at(out + row * side + k), other = taps[2 * radius] * floats_at(from + 2 * radius);
+            for (int t = 0; t < 2 * radius; t += 2) {
+                sum = fma((floats)taps[t], floats_at(from + t), sum);
+                other = fma((floats)taps[t + 1], floats_at(from + t + 1), other);
+            }
+            put(out + row * side + k, sum + other);
         }
 }
 
