@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,6 +44,7 @@ class SequenceFolder:
             backgrounds=self._backgrounds,
             frames=lambda: self._frames(names),
             symmetries=listed_symmetries(file),
+            facts=_facts(described.get("note", "")),
             towards_sun=_direction(described.get("light", {}).get("towards_sun")),
             scale_prior=_scale_prior(described.get("scale_prior")),
         )
@@ -87,6 +89,14 @@ def listed_symmetries(mesh: Path) -> tuple[Array, ...] | None:
     if mesh.name not in listed:
         return None
     return tuple(np.array(matrix, dtype=np.float64) for matrix in listed[mesh.name])
+
+
+def _facts(note: str) -> dict[str, float]:
+    """What a note says of the air: ``calm``, or its D/r0."""
+    found = re.search(r"D/r0 (\d+(?:\.\d+)?)", note)
+    if found:
+        return {"d_over_r0": float(found[1])}
+    return {"d_over_r0": 0.0} if "calm" in note else {}
 
 
 def _direction(listed: Sequence[float] | None) -> Array | None:

@@ -138,12 +138,12 @@ def run_case(
 
 def _open(tracker: Tracker, case: Case, entry: Entry, backgrounds: Sequence[bytes], told: Told) -> _Session:
     config = told.configure(replace(entry.config, joints=JointParams(free=case.free)), case)
-    learned = _learned(tracker, case, config, backgrounds)
+    learned = learned_sky(tracker, case, config, backgrounds)
     key = content_key(learned)
     return _Session(entry, case, config, key, {case.model.key: case.model.data, key: learned})
 
 
-def _learned(tracker: Tracker, case: Case, config: SessionConfig, backgrounds: Sequence[bytes]) -> bytes:
+def learned_sky(tracker: Tracker, case: Case, config: SessionConfig, backgrounds: Sequence[bytes]) -> bytes:
     """The sky, of empty frames; where there is none, of the first frame's border."""
     learned: bytes | None = None
     for body in backgrounds:

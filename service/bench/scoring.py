@@ -50,7 +50,7 @@ class Referee:
     def __init__(self, case: Case) -> None:
         self._case = case
         self.articulation: Articulation = hold(case.model.articulation, case.free, {})
-        self._alike = _ambiguity(case, self.articulation)
+        self._alike = ambiguity(case, self.articulation)
         self._mirrored = np.array([False, *(symmetry.kind == "mirror" for symmetry in self._alike)])
 
     def draw(self, pose: Poses) -> Mask:
@@ -110,7 +110,7 @@ class Referee:
         return bool(near[self._mirrored].any() and near[~self._mirrored].any())
 
 
-def _ambiguity(case: Case, held: Articulation) -> tuple[Symmetry, ...]:
+def ambiguity(case: Case, held: Articulation) -> tuple[Symmetry, ...]:
     """The listed symmetries of the body, as they stand; else what was found with the model, joints mapped."""
     if case.symmetries is None:
         return held_symmetries(case.model.twins, case.model.articulation, held)

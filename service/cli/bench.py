@@ -12,6 +12,7 @@ import typer
 
 from service.cli.bench_engines import engines
 from service.cli.bench_light import light
+from service.cli.bench_likelihood import likelihood
 from service.cli.bench_load import load
 from service.cli.bench_scorers import scorers
 from service.cli.bench_step import step
@@ -36,6 +37,7 @@ Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE
 bench.command()(scorers)
 bench.command()(step)
 bench.command()(light)
+bench.command()(likelihood)
 bench.command()(load)
 bench.command()(engines)
 

@@ -129,7 +129,7 @@ def run_benchmark(selection: Selection, entries: Sequence[Entry], terms: Terms, 
     results: list[CaseResult] = []
     tracker = Tracker()
     try:
-        with _progress() as progress:
+        with bench_progress() as progress:
             task = progress.add_task("", total=selection.count)
             for case in selection.cases(ModelShelf(tracker)):
                 hear = partial(_tell, progress, task, case.name)
@@ -170,7 +170,8 @@ def _print(rows: Sequence[Row], total: Sequence[Row]) -> None:
     console.print(overall_table(total))
 
 
-def _progress() -> Progress:
+def bench_progress() -> Progress:
+    """A line on standard error."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=Console(stderr=True))
 
