@@ -144,12 +144,13 @@ static void draw_model(const Scene s, const Room r, const int lit, const int cou
                         floats_at(picture_in(s, r, SPECKLE + m - lit - 6) + k), model);
             }
             floats residual = floats_at(data + k) - model;
-            const ints censored = convert_int16(vload16(0, full + k)) != 0;
-            residual = censored & (residual < 0.0f) ? 0.0f : residual;
+            const ints least = convert_int16(vload16(0, full + k)) != 0;  // more is no contradiction, and tells nothing
+            residual = least & (residual < 0.0f) ? 0.0f : residual;
             put(r.model + k, model);
             put(residuals + k, residual);
             put(r.variance + k, variance);
-            put(r.root + k, sqrt(((NU + 1.0f) / s.area) / (NU * variance + residual * residual)));
+            const floats root = sqrt(((NU + 1.0f) / s.area) / (NU * variance + residual * residual));
+            put(r.root + k, least ? root * sqrt(fmin(residual / sqrt(variance), 1.0f)) : root);
         }
 }
 
@@ -278,7 +279,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         r.box[slot] = wide;
         note_reach(s, r, slot, wide);
         r.plane[lit] = p;
-        r.mean[lit] = 0.0;
+        r.mean[lit] = (double)given_mean[number];
         r.precision[lit] = (double)given_precision[p];
         ++lit;
     }

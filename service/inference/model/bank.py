@@ -22,6 +22,8 @@ _PICTURE = Quality(supersample=2, shadow_px=128, gloss=())
 _LIT_SHARES = (0.0, 0.08, 0.3)  # of the brighter light: lit from here on
 _FLOOR_SIGMAS = 2.5
 _DARK_SIGMAS = 6.0
+_HALF_STEP = 0.09  # of the scales, log
+_PER_LOG_SCALE = 0.5  # correlation that a look may lose for a scale e times off
 _CHUNK = 512
 
 
@@ -86,6 +88,8 @@ def looks(image: Images, sigma: float) -> Looks:
                     outlines.append(down @ some.astype(np.float32) @ across.T)
                     zooms.append(zoom)
                     offsets.append(offset)
+    if not pictures:  # no light: nothing to go by
+        return Looks(np.zeros((len(T.KINDS), 0, T.SIDE**2), np.float32), np.empty(0), np.empty((0, 2)))
     kinds = T.kinds_of(np.stack(pictures), np.stack(outlines))
     return Looks(kinds, np.array(zooms), np.array(offsets))
 
@@ -113,18 +117,25 @@ def match(
 ) -> tuple[Array, list[Poses]]:
     """(kinds, N) best correlation of each template, and the pose that it means at its best look of each kind.
 
-    A told scale keeps the looks that agree with it (within three sigma and half a step of the scales).
+    A told scale prefers looks that agree with it (within three sigma and half a step of the scales).
     """
     scores, poses = [], []
+    if not len(seen.zoom):
+        nothing = np.full((len(bank.pictures), len(bank.poses)), -1.0)
+        return nothing, [bank.poses] * len(bank.pictures)
     scale = bank.poses.log_scale[:, None] + np.log(seen.zoom)[None]  # (N, V)
-    allowed = np.ones(scale.shape, bool)
+    off: Array | float = 0.0
     if log_scale is not None:
-        allowed = np.abs(scale - log_scale) < 3 * log_scale_sigma + 0.09
+        wide = 3 * log_scale_sigma + _HALF_STEP
+        off = _PER_LOG_SCALE * np.maximum(np.abs(scale - log_scale) - wide, 0.0).astype(np.float32)
     for templates, pictures in zip(bank.pictures, seen.pictures, strict=True):
-        product = np.where(allowed, templates @ pictures.T, -1.0)
+        product = templates @ pictures.T - off
         best = np.argmax(product, axis=1)
         scores.append(np.take_along_axis(product, best[:, None], 1)[:, 0])
         zoom = seen.zoom[best]
         position = bank.poses.position * zoom[:, None] + seen.offset[best]
-        poses.append(Poses(bank.poses.quaternion, position, bank.poses.log_scale + np.log(zoom), bank.poses.joints))
+        size = bank.poses.log_scale + np.log(zoom)
+        if log_scale is not None:
+            size = np.clip(size, log_scale - wide, log_scale + wide)
+        poses.append(Poses(bank.poses.quaternion, position, size, bank.poses.joints))
     return np.stack(scores).astype(np.float64), poses

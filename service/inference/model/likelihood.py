@@ -253,8 +253,10 @@ class _Unknowns:
         white = (terms.noise + terms.photon * np.maximum(light, 0)) / terms.area
         variance = white + np.float32(terms.wrong) * (light**2 + np.float32(terms.edge**2) * (dx**2 + dy**2))
         residual = terms.data - model
-        residual[terms.full & (residual < 0)] = 0.0  # at least so much light: more is no contradiction
+        full = terms.full  # at least so much light: more is no contradiction, and tells nothing
+        residual[full] = np.maximum(residual[full], 0.0)
         weight = (_NU + 1) / ((_NU * variance + residual**2) * terms.area)
+        weight[full] *= np.minimum(residual[full] / np.sqrt(variance[full]), 1.0)
         return columns, light, model, residual, np.asarray(variance, np.float32), np.asarray(weight, np.float32)
 
     def step(self) -> None:

@@ -93,12 +93,13 @@ FIRST = Stage(18, 1.5, 150, 1, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0
 ROUGH = Stage(18, 1.5, 56, 2, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
 MIDDLE = Stage(28, 1.0, 24, 2, 0.7, Quality(2, 128), Trust())
 SHARP = Stage(44, 0.8, 10, 2, 0.6, Quality(3, 192), Trust())
-FINEST = Stage(72, 0.7, 5, 3, 0.5, FINE, Trust())
+FINEST = Stage(72, 0.7, 5, 8, 0.5, FINE, Trust())
 BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, three times at the most
 _PER_KIND = 80  # templates of each kind that are looked at with the likelihood
 _COARSE_ROUNDS = 4
 _SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
 _SAME_DEG = 2.0  # after refinement
+_LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
 _TRIED = 60  # basins whose joints and Suns are tried anew
 _TOGETHER = 2  # joints that are tried in all combinations; more of them one after the other
 _VALUES = (8, 6)  # of each joint, alone or of two together
@@ -129,8 +130,13 @@ class Candidates:
 def search(body: Body, sight: Sight, bank: Bank, told: PosePrior) -> Found:
     """All that a frame alone says of a pose."""
     nuisance = Nuisance(sight.psf)
+    if told.log_scale is not None:  # a body that is known to be large may show little of its light at a place
+        across = _LIT_SHARE * 2 * body.fine.radius * float(np.exp(told.log_scale))
+        sight = replace(sight, span=max(sight.span, across))
     first = sight.cut(sight.span, MIDDLE.wanted)
     some = propose(bank, first, told)
+    if not len(some.found):
+        return Found([], stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance)
     hill = stage_hill(body.rough, sight, ROUGH, nuisance, told, speckle=False)
     some = best_of(scored(hill, some), len(some.found), _SHARED_DEG)
     some = climbed(hill, varied(hill, some), FIRST)

@@ -70,6 +70,7 @@ class Refined:
 
 def ascend(hill: Hill, poses: Poses, suns: Array, *, steps: int, covariance: bool = True) -> list[Refined]:
     """Climb from N poses, each with its Sun (N, 3); ``steps`` at the most. In the order given."""
+    suns = suns.copy()
     fits, scores = _look(hill, poses, suns)
     going = np.ones(len(poses), dtype=bool)
     for _ in range(steps):
@@ -152,7 +153,8 @@ def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) 
         normal[5, 5] += told.log_scale_sigma**-2
         pull[5] += (told.log_scale - float(pose.log_scale[0])) / told.log_scale_sigma**2
     if hill.sun_free:
-        normal[range(d, d + 2), range(d, d + 2)] += told.sun_sigma**-2
+        known = told.towards_sun is not None
+        normal[range(d, d + 2), range(d, d + 2)] += told.sun_sigma**-2 if known else 1.0
         if told.towards_sun is not None:
             pull[d : d + 2] += across(sun) @ (told.towards_sun - sun) / told.sun_sigma**2
 
