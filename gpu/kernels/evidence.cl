@@ -279,7 +279,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         r.box[slot] = wide;
         note_reach(s, r, slot, wide);
         r.plane[lit] = p;
-        r.mean[lit] = (double)given_mean[number];
+        r.mean[lit] = (double)given_mean[p];
         r.precision[lit] = (double)given_precision[p];
         ++lit;
     }
