@@ -58,7 +58,8 @@ def _label(row: LikelihoodRow) -> tuple[str, ...]:
 
 
 def _grey(image: NDArray[np.float32], white: float) -> RGB:
-    grey = np.clip(image * (255.0 / white), 0, 255).astype(np.uint8)
+    """By its square root: dark panels beside bright metal."""
+    grey = (255 * np.sqrt(np.clip(image / white, 0, 1))).astype(np.uint8)
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 
