@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gpu.device import DeviceReport, find_devices, no_device_reason, open_device
 from gpu.errors import DeviceError
-from gpu.program import build, constant, device_errors
+from gpu.program import KernelArgument, build, constant, device_errors
 
 Numbers = NDArray[np.float32]
 FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
@@ -135,24 +135,48 @@ class LightEvidence:
             flags = cl.mem_flags
             held = np.ascontiguousarray(planes, np.float32)
             given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
-            arrays = (terms.offset, terms.mean, terms.precision, terms.data, terms.full.astype(np.uint8))
+            arrays: tuple[NDArray[np.generic], ...] = (
+                terms.offset,
+                terms.mean,
+                terms.precision,
+                terms.data,
+                terms.full.astype(np.uint8),
+            )
             weights = np.array([w for w, _ in terms.gaussians], np.float32)
             radii = np.array([len(t) // 2 for t in taps], np.int32)
             arrays += (terms.slopes, terms.bumps, weights, radii, np.concatenate(taps))
             inputs = [constant(self._context, np.ascontiguousarray(a)) for a in arrays]
             sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, len(taps), length)
-            scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.wrong, terms.edge**2)
+            scalars: tuple[float, ...] = (
+                terms.noise,
+                terms.photon,
+                terms.hidden,
+                terms.area,
+                terms.wrong,
+                terms.edge**2,
+            )
             scalars += (terms.width, terms.gain)
             result, coefficients = (cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in (out, drawn))
-            more = None if details is None else cl.Buffer(self._context, flags.WRITE_ONLY, details.nbytes)
-            head = (given, np.int32(n), *inputs, *(np.int32(v) for v in sizes), *(np.float32(v) for v in scalars))
+            more = None
+            if details is not None:
+                more = cl.Buffer(self._context, flags.WRITE_ONLY | flags.USE_HOST_PTR, hostbuf=details)
+            head: tuple[KernelArgument, ...] = (
+                given,
+                np.int32(n),
+                *inputs,
+                *(np.int32(v) for v in sizes),
+                *(np.float32(v) for v in scalars),
+            )
             tail = (self._scratch(4 * each * items), np.uint64(each))
             counter = constant(self._context, np.zeros(1, np.int32))
             self._kernel(self._queue, (items,), (1,), *head, result, coefficients, more, *tail, counter)
             cl.enqueue_copy(self._queue, out, result)
             cl.enqueue_copy(self._queue, drawn, coefficients)
             if more is not None and details is not None:
-                cl.enqueue_copy(self._queue, details, more)
+                reading = cl.map_flags.READ
+                mapped, _ = cl.enqueue_map_buffer(self._queue, more, reading, 0, details.shape, details.dtype)
+                mapped.base.release(self._queue)
+                self._queue.finish()
         return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn)
 
     def _scratch(self, size: int) -> cl.Buffer:
@@ -177,7 +201,7 @@ def _details(row: Numbers, unknowns: int, side: int) -> Details:
     rest = row[LANES + 4 * pixels :]
     tail = rest[unknowns * pixels :].astype(np.float64)
     columns = rest[: count * pixels].reshape(count, side, side)
-    return Details(*maps, columns, tail[:count], tail[unknowns : unknowns + count])
+    return Details(maps[0], maps[1], maps[2], maps[3], columns, tail[:count], tail[unknowns : unknowns + count])
 
 
 def _lanes(count: int) -> int:
@@ -187,7 +211,13 @@ def _lanes(count: int) -> int:
 def _room(unknowns: int, n_planes: int, side: int, length: int) -> int:
     """Numbers of one work-item, as ``room_in`` deals them out."""
     slots, width, pixels = unknowns - 1, -(-unknowns // EIGHT) * EIGHT, side * side
-    vectors = 5 * _lanes(2 * width) + 2 * _lanes(unknowns) + _lanes(4 * slots) + _lanes(slots + 3) + _lanes(slots * (side // LANES))
+    vectors = (
+        5 * _lanes(2 * width)
+        + 2 * _lanes(unknowns)
+        + _lanes(4 * slots)
+        + _lanes(slots + 3)
+        + _lanes(slots * (side // LANES))
+    )
     matrices = _lanes(2 * width * width) + _lanes(2 * slots * slots) + (slots + 1) ** 2 * LANES
     pictures = slots * (pixels + ODD * LANES) + 6 * pixels + side * length
     return vectors + matrices + pictures + 2 * max(NEAR, (slots + 3) * EIGHT) * LANES

@@ -67,9 +67,14 @@ static Room room_in(__global float *memory, const Scene s)
     r.scale = take(&memory, s.unknowns);
     r.box = (__global Box *)take(&memory, 4 * slots);
     r.plane = (__global int *)take(&memory, s.unknowns);
-    const Products products = {r.pictures, (__global uint *)take(&memory, slots * (s.side / LANES)), r.root, take(&memory, 2 * max(NEAR, (slots + 3) * EIGHT) * LANES),
-        take(&memory, (slots + 1) * (slots + 1) * LANES), (__global int *)take(&memory, slots + 3), s.side, s.stride, 0};
-    r.products = products;
+    r.products.pictures = r.pictures;
+    r.products.root = r.root;
+    r.products.reach = (__global uint *)take(&memory, slots * (s.side / LANES));
+    r.products.tile = take(&memory, 2 * max(NEAR, (slots + 3) * EIGHT) * LANES);
+    r.products.sums = take(&memory, (slots + 1) * (slots + 1) * LANES);
+    r.products.reaching = (__global int *)take(&memory, slots + 3);
+    r.products.side = s.side;
+    r.products.stride = s.stride;
     return r;
 }
 
@@ -83,7 +88,7 @@ static int slot_of(const Scene s, const int lit, const int m)
     return m < lit + 6 ? SKY + m - lit - 3 : SPECKLE + m - lit - 6;
 }
 
-// Gauss-Hermite deviations of the point spread, orders 2 to 4: d^n I, each from one of the order before; their scale is
+// Gauss-Hermite deviations of the point spread, orders 2 to 4: d^n I, each from one an order lower; their scale is
 // width^n / sqrt(a! b!).
 static void draw_speckle(const Scene s, const Room r, const Box body)
 {
@@ -144,13 +149,15 @@ static void draw_model(const Scene s, const Room r, const int lit, const int cou
                         floats_at(picture_in(s, r, SPECKLE + m - lit - 6) + k), model);
             }
             floats residual = floats_at(data + k) - model;
-            const ints least = convert_int16(vload16(0, full + k)) != 0;  // more is no contradiction, and tells nothing
-            residual = least & (residual < 0.0f) ? 0.0f : residual;
+            const ints censored = convert_int16(vload16(0, full + k)) != 0;
+            residual = censored & (residual < 0.0f) ? 0.0f : residual;
+            floats weight = ((NU + 1.0f) / s.area) / (NU * variance + residual * residual);
+            // At least so much light: more is no contradiction, and tells nothing.
+            weight *= censored ? fmin(residual / sqrt(variance), 1.0f) : 1.0f;
             put(r.model + k, model);
             put(residuals + k, residual);
             put(r.variance + k, variance);
-            const floats root = sqrt(((NU + 1.0f) / s.area) / (NU * variance + residual * residual));
-            put(r.root + k, least ? root * sqrt(fmin(residual / sqrt(variance), 1.0f)) : root);
+            put(r.root + k, sqrt(weight));
         }
 }
 
@@ -158,9 +165,7 @@ static void draw_model(const Scene s, const Room r, const int lit, const int cou
 static void draw_normal(const Scene s, const Room r, const int lit, const int count, const Box body)
 {
     const int slots = s.first + lit, width = (count + EIGHT - 1) & -EIGHT;
-    Products all = r.products;
-    all.slots = slots;
-    products(all, body, r.total);
+    products(r.products, slots, body, r.total);
     for (int i = 0; i < count; ++i) {
         __global double *row = r.normal + i * width;
         for (int j = 0; j < width; ++j) row[j] = 0.0;
@@ -279,7 +284,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         r.box[slot] = wide;
         note_reach(s, r, slot, wide);
         r.plane[lit] = p;
-        r.mean[lit] = (double)given_mean[p];
+        r.mean[lit] = 0.0;
         r.precision[lit] = (double)given_precision[p];
         ++lit;
     }

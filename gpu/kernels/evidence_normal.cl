@@ -50,7 +50,7 @@ typedef struct {
     __global float *tile;         // what the nearest cache holds: the pictures of one tile, each times the root
     __global float *sums;         // (slots + 1, slots + 1, LANES)
     __global int *reaching;       // (slots + 3) which pictures reach a tile
-    int side, stride, slots;
+    int side, stride;
 } Products;
 
 static void add_to(__global float *sum, const floats more) { put(sum, floats_at(sum) + more); }
@@ -81,7 +81,7 @@ static void add_sixteen(__global const float *left, __global const float *right,
 
 // sums[i][j] += weight * picture i * picture j in a tile, i >= j, of the `n` pictures that reach it. What has no
 // partner in a block of four goes to the row and column behind the last slot.
-static void add_tile(const Products p, const int top, const int rows, const int column, const int n)
+static void add_tile(const Products p, const int slots, const int top, const int rows, const int column, const int n)
 {
     const int at = top * p.side + column, apart = rows * LANES;
     for (int a = 0; a < n; ++a) {
@@ -90,17 +90,17 @@ static void add_tile(const Products p, const int top, const int rows, const int 
         for (int row = 0; row < rows; ++row)
             put(to + row * LANES, floats_at(p.root + at + row * p.side) * floats_at(picture + row * p.side));
     }
-    for (int a = n; a < n + 3; ++a) p.reaching[a] = p.slots;
+    for (int a = n; a < n + 3; ++a) p.reaching[a] = slots;
     for (int a = 0; a < n; a += 4)
         for (int b = 0; b <= a; b += 4)
-            add_sixteen(p.tile + a * apart, p.tile + b * apart, rows, apart, p.sums, (p.slots + 1) * LANES,
+            add_sixteen(p.tile + a * apart, p.tile + b * apart, rows, apart, p.sums, (slots + 1) * LANES,
                 vload4(0, p.reaching + a), vload4(0, p.reaching + b));
 }
 
 // total (slots, slots): sums over all pixels of weight * picture i * picture j; both halves.
-static void products(const Products p, const Box body, __global double *total)
+static void products(const Products p, const int slots, const Box body, __global double *total)
 {
-    const int slots = p.slots, tall = max(NEAR / slots, EIGHT), lanes = p.side / LANES;
+    const int tall = max(NEAR / slots, EIGHT), lanes = p.side / LANES;
     for (int i = 0; i < slots; ++i)
         for (int j = 0; j <= i; ++j) put(p.sums + (i * (slots + 1) + j) * LANES, 0.0f);
     for (int column = 0; column < p.side; column += LANES) {
@@ -115,7 +115,7 @@ static void products(const Products p, const Box body, __global double *total)
                 p.reaching[n] = i;
                 n += (p.reach[i * lanes + column / LANES] & units) != 0;
             }
-            add_tile(p, top, rows, column, n);
+            add_tile(p, slots, top, rows, column, n);
             top += rows;
         }
     }

@@ -75,7 +75,7 @@ def scene_of(
 def agrees(answers, k: int, wanted: Fit) -> None:
     tolerance = NATS + RELATIVE * abs(wanted.log_evidence) * 0.1
     assert answers.log_evidence[k] == pytest.approx(wanted.log_evidence, abs=tolerance)
-    assert answers.chi2[k] == pytest.approx(wanted.chi2, rel=1e-2, abs=1e-3)
+    assert answers.chi2[k] == pytest.approx(wanted.chi2, rel=2e-2, abs=1e-3)  # a pixel is on the body or not
     scale = np.abs(wanted.coefficients).max()
     np.testing.assert_allclose(answers.coefficients[k], wanted.coefficients, rtol=RELATIVE, atol=RELATIVE * scale)
 
@@ -106,9 +106,9 @@ def test_details_are_what_the_twin_knows(light, name):
         bright = float(np.abs(terms.data).max())
         for name in ("residual", "model", "light"):
             np.testing.assert_allclose(getattr(details[k], name), getattr(wanted, name), atol=RELATIVE * bright)
-        # One pixel that is counted as full or not changes its own weight by all of it.
-        apart = np.abs(details[k].weight - wanted.weight) > 1e-2 * wanted.weight
-        assert apart.mean() < 2e-3
+        np.testing.assert_allclose(details[k].weight[~terms.full], wanted.weight[~terms.full], rtol=1e-2)
+        pull, expected = details[k].weight * details[k].residual, wanted.weight * wanted.residual
+        np.testing.assert_allclose(pull, expected, atol=1e-2 * np.abs(expected).max())
         np.testing.assert_array_equal(details[k].precision, wanted.precision)
         np.testing.assert_allclose(details[k].deviation, wanted.deviation, atol=5e-3)
         assert details[k].columns.shape == wanted.columns.shape
