@@ -28,41 +28,94 @@ class Terms(Protocol):
     """What one patch and its priors are to the kernel. Pictures are (S, S), S a multiple of 16."""
 
     @property
-    def data(self) -> Numbers: ...  # (S, S) the frame after its low pass
+    def data(self) -> Numbers:
+        """(S, S) the frame after its low pass."""
+        ...
+
     @property
-    def full(self) -> NDArray[np.bool_]: ...  # (S, S) pixels of which only a least value is known
+    def full(self) -> NDArray[np.bool_]:
+        """(S, S) pixels of which only a least value is known."""
+        ...
+
     @property
-    def slopes(self) -> Numbers: ...  # (3, S, S)
+    def slopes(self) -> Numbers:
+        """(3, S, S) level of the sky and its slopes."""
+        ...
+
     @property
-    def bumps(self) -> Numbers: ...  # (9, S, S)
+    def bumps(self) -> Numbers:
+        """(9, S, S) where the air shifts the image alike."""
+        ...
+
     @property
-    def gaussians(self) -> tuple[tuple[float, float], ...]: ...  # weight, sigma (px) of what blurs a drawing
+    def gaussians(self) -> tuple[tuple[float, float], ...]:
+        """Weight, sigma (px) of what blurs a drawing."""
+        ...
+
     @property
-    def offset(self) -> Numbers: ...  # (Q - 1,) log of each positive plane's share of the gain
+    def offset(self) -> Numbers:
+        """(Q - 1,) log of each positive plane's share of the gain."""
+        ...
+
     @property
-    def mean(self) -> Numbers: ...  # (Q - 1 + 6 + ...,): positives, gain, even, hidden, sky (3), speckle, shifts
+    def mean(self) -> Numbers:
+        """(Q - 1 + 6 + ...,): positives, gain, even, hidden, sky (3), speckle, shifts."""
+        ...
+
     @property
-    def precision(self) -> Numbers: ...  # the same of their precisions
+    def precision(self) -> Numbers:
+        """The same of their precisions."""
+        ...
+
     @property
-    def noise(self) -> float: ...  # variance of a pixel of empty sky
+    def noise(self) -> float:
+        """Variance of a pixel of empty sky."""
+        ...
+
     @property
-    def photon(self) -> float: ...  # variance per count
+    def photon(self) -> float:
+        """Variance per count."""
+        ...
+
     @property
-    def hidden(self) -> float: ...  # counts
+    def hidden(self) -> float:
+        """Light of the sky that a body can hide, counts."""
+        ...
+
     @property
-    def area(self) -> float: ...
+    def area(self) -> float:
+        """A: pixels that count as one."""
+        ...
+
     @property
-    def wrong(self) -> float: ...  # c tau^2
+    def wrong(self) -> float:
+        """C tau^2."""
+        ...
+
     @property
-    def edge(self) -> float: ...  # px
+    def edge(self) -> float:
+        """Px by which edges are misplaced, in units of tau."""
+        ...
+
     @property
-    def width(self) -> float: ...  # px
+    def width(self) -> float:
+        """Of the point spread, px."""
+        ...
+
     @property
-    def gain(self) -> float: ...  # log
+    def gain(self) -> float:
+        """Log gain to start from."""
+        ...
+
     @property
-    def speckle(self) -> bool: ...
+    def speckle(self) -> bool:
+        """Whether the point spread's deviations are unknowns."""
+        ...
+
     @property
-    def shifts(self) -> bool: ...
+    def shifts(self) -> bool:
+        """Whether image shifts are unknowns."""
+        ...
 
 
 @dataclass(frozen=True)
