@@ -208,8 +208,7 @@ def _look(shared: _Pass, k: int, data: bytes, truth_frame: TruthFrame) -> Looked
         draw_us=_draw_us(found.hill, truth),
     )
     other = None if beaten is None else found.basins[int(np.argmax(np.where(errors > NEAR_DEG, values, -np.inf)))]
-    pictures = None if other is None else (other.fit.model, other.fit.residual)
-    return Looked(row, Views(found.hill.scene.data, (truth.fit.model, truth.fit.residual), pictures))
+    return Looked(row, Views(found.hill.scene.data, _pictures(truth), None if other is None else _pictures(other)))
 
 
 def off(held: Articulation, rng: np.random.Generator) -> Array:
@@ -250,6 +249,11 @@ def _poses(found: Sequence[Refined]) -> Poses:
 
 def _values(found: Sequence[Refined]) -> Array:
     return np.array([one.log_posterior for one in found])
+
+
+def _pictures(at: Refined) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Copies: they do not keep the rest of a fit, which is a hundred times as large."""
+    return at.fit.model.copy(), at.fit.residual.copy()
 
 
 def _evidence_ms(hill: Hill, at: Refined) -> float:

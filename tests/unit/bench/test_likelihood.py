@@ -82,7 +82,8 @@ def test_the_narrowest_frames_are_shown_first():
     assert full.shape[0] > 8 * short.shape[0] and full.shape[1] == short.shape[1]
 
 
-def test_the_command(block, tmp_path):
+def test_the_command(block, tmp_path, monkeypatch):
+    monkeypatch.setattr("service.inference.model.search.BANK_SIZE", 500)  # it need not find, only run
     scenario = replace(randomised_mixed(1, size=(96, 96), frames=2), background_frames=3)
     folder, out, report = tmp_path / "passes", tmp_path / "rows.json", tmp_path / "report"
     for name in ("one", "two"):
@@ -90,7 +91,9 @@ def test_the_command(block, tmp_path):
     write_sequence(SimulatedPass(block.mesh, block.articulation, scenario), folder / "one", "block.glb", block.data)
     (folder / "two" / "case.json").write_text("{}")
     arguments = ["--case", "one", "--frames", "0", "--range", "--json", str(out), "--report", str(report)]
-    result = RUNNER.invoke(app, ["bench", "likelihood", str(folder), *arguments], env={"COLUMNS": "220"}, catch_exceptions=False)
+    result = RUNNER.invoke(
+        app, ["bench", "likelihood", str(folder), *arguments], env={"COLUMNS": "220"}, catch_exceptions=False
+    )
     assert result.exit_code == 0, result.output
     document = json.loads(out.read_text())
     (row,) = document["rows"]
