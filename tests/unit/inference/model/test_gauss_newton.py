@@ -27,7 +27,6 @@ from service.inference.state import Poses
 
 SIGMA = 4.0
 SMOOTH = Quality(supersample=8, shadow_px=512, gloss=())
-CENSORED_ARE_DATA = "censored pixels whose light is explained still weigh: they hold the light where it is"
 
 
 def frame(seed: int = 1, gain: float = 700.0, gloss: float = 0.15, **others) -> Scene:
@@ -93,7 +92,7 @@ def test_slope_and_curvature_are_those_of_the_posterior_at_fixed_weights():
 
 @pytest.mark.parametrize("turn", [(0.035, 0, 0), (0, 0.035, 0), (0, 0, 0.035), (-0.02, 0.02, -0.02)])
 def test_from_two_degrees_off_a_pose_comes_back(turn):
-    found = climbed(hill(frame()), moved(*turn, 1.0, -0.8, 0.03, 4.0))
+    found = climbed(hill(frame(gain=300.0)), moved(*turn, 1.0, -0.8, 0.03, 4.0))  # noise above the drawing's steps
     error = local(pose(), found.pose)[0]
     assert np.rad2deg(np.linalg.norm(error[:3])) < 0.6
     assert np.abs(error[3:5]).max() < 0.1
@@ -114,7 +113,6 @@ def test_poses_climb_together_as_each_alone_and_nothing_given_is_changed():
         assert local(alone.pose, one.pose) == pytest.approx(0.0, abs=1e-4)
 
 
-@pytest.mark.xfail(reason="ascend writes where the Suns have moved into the array that it is given", strict=True)
 def test_the_suns_given_are_not_changed():
     suns = SUN[None].copy()
     ascend(hill(frame()), moved(0.03, 0, 0, 0, 0, 0, 3.0), suns, steps=6)
@@ -170,9 +168,7 @@ def test_a_told_scale_holds_the_pose():
         assert abs(off) < 0.01 if sigma < 0.01 else off < -0.02
 
 
-@pytest.mark.parametrize(
-    "censored", [pytest.param(True, marks=pytest.mark.xfail(reason=CENSORED_ARE_DATA, strict=True)), False]
-)
+@pytest.mark.parametrize("censored", [True, False])
 def test_saturated_pixels_say_at_least_this_and_do_not_move_the_pose(censored):
     """Taken as data, a sensor that ends at half of the light moves the body."""
     clean = frame()
@@ -187,7 +183,6 @@ def test_saturated_pixels_say_at_least_this_and_do_not_move_the_pose(censored):
     assert squares < 30.0 if censored else squares > 100.0
 
 
-@pytest.mark.xfail(reason=CENSORED_ARE_DATA, strict=True)
 def test_the_light_of_a_saturated_frame_is_found_in_few_rounds():
     clean = frame()
     top = 0.6 * float(clean.image.max())

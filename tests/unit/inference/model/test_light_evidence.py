@@ -130,7 +130,6 @@ def test_the_evidence_is_the_integral_over_all_unknowns(noise):
         assert wanted - 0.15 * len(MEANS) * noise - 0.1 < found < wanted + 0.1, name
 
 
-@pytest.mark.xfail(reason="evidence.cl takes the positives' prior means as zero", strict=True)
 def test_what_is_known_of_albedos_is_their_prior_in_both_twins():
     """As the posterior of the last frame is the prior of the next."""
     terms, *_ = told(noise=0.5)
