@@ -138,6 +138,8 @@ class Details:
     columns: Numbers  # (M, S, S)
     precision: NDArray[np.float64]  # (M,)
     deviation: NDArray[np.float64]  # (M,)
+    normal: NDArray[np.float64]  # (M, M) curvature of the log posterior
+    pull: NDArray[np.float64]  # (M,) its slope
 
 
 class LightEvidence:
@@ -159,7 +161,7 @@ class LightEvidence:
         """The same, and what each pose's curvature is made of."""
         n, n_planes, side, _ = planes.shape
         unknowns, pixels = self._unknowns(n_planes, terms), side * side
-        out = np.empty((n, LANES + (4 + unknowns) * pixels + 2 * unknowns), np.float32)
+        out = np.empty((n, LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 3)), np.float32)
         answers = self._run(planes, n_groups, terms, rounds, out)
         return answers, [_details(row, unknowns, side) for row in out]
 
@@ -254,7 +256,10 @@ def _details(row: Numbers, unknowns: int, side: int) -> Details:
     rest = row[LANES + 4 * pixels :]
     tail = rest[unknowns * pixels :].astype(np.float64)
     columns = rest[: count * pixels].reshape(count, side, side)
-    return Details(maps[0], maps[1], maps[2], maps[3], columns, tail[:count], tail[unknowns : unknowns + count])
+    normal = tail[2 * unknowns : 2 * unknowns + count * count].reshape(count, count)
+    pull = tail[unknowns * (unknowns + 2) :][:count]
+    precision, deviation = tail[:count], tail[unknowns : unknowns + count]
+    return Details(maps[0], maps[1], maps[2], maps[3], columns, precision, deviation, normal, pull)
 
 
 def _lanes(count: int) -> int:

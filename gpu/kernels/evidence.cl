@@ -337,6 +337,22 @@ static double log_density(const Scene s, const Room r, float *chi2)
     return total + density * s.pixels;
 }
 
+// How many numbers `tell` writes.
+static size_t told_size(const Scene s)
+{
+    return LANES + (size_t)(4 + s.unknowns) * s.pixels + (size_t)s.unknowns * (s.unknowns + 3);
+}
+
+// For Gauss-Newton: curvature and slope of the log posterior by the unknowns, before the factor takes their place.
+static void tell_normal(const Scene s, const Room r, const int count, const int row, __global float *out)
+{
+    __global float *to = out + LANES + (4 + s.unknowns) * s.pixels + 2 * s.unknowns;
+    for (int i = 0; i < count; ++i) {
+        for (int j = 0; j < count; ++j) to[i * count + j] = (float)r.normal[i * row + j];
+        to[s.unknowns * s.unknowns + i] = (float)r.move[i];
+    }
+}
+
 // For Gauss-Newton: count; residual, weight, model, light; then every scaled picture, precision, deviation.
 static void tell(const Scene s, const Room r, const int lit, const int count, const Box body, __global float *out)
 {
@@ -399,6 +415,7 @@ __kernel void evidence(
             draw_model(s, r, lit, count, body, offset, data, full, bumps);
         }
         draw_normal(s, r, lit, count, body);
+        if (details) tell_normal(s, r, count, row, details + pose * told_size(s));
         sound = factorise(r.normal, count, row);
         double logdet = 0.0, squares = 0.0;
         for (int i = 0; i < count; ++i) {
@@ -417,6 +434,6 @@ __kernel void evidence(
         for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + 1] = r.scale[m];
         drawn[groups] = bright * (float)r.value[lit + 1] - hidden * (float)r.value[lit + 2];
         if (details)
-            tell(s, r, lit, count, body, details + pose * (size_t)(LANES + (4 + s.unknowns) * pixels + 2 * s.unknowns));
+            tell(s, r, lit, count, body, details + pose * told_size(s));
     }
 }

@@ -172,6 +172,8 @@ class Fit:
     columns: Images  # (M, S, S) derivatives of the model by the unknowns
     precision: Array  # (M,) of the priors
     deviation: Array  # (M,) of the unknowns from their prior means
+    normal: Array  # (M, M) curvature of the log posterior by the unknowns
+    pull: Array  # (M,) its slope
 
 
 def t_log_density(residual: Images, variance: Images) -> Images:
@@ -283,4 +285,7 @@ class _Unknowns:
         body = light**2 > terms.noise / terms.area
         chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0
         nothing = np.empty(0, np.float32)
-        return Fit(evidence, chi2, nothing, residual, weight, model, light, columns, self._precision, deviation)
+        maps = residual, weight, model, light, columns
+        pull = flat @ (weight * residual).ravel().astype(np.float64) - self._precision * deviation
+        curvature = normal + np.diag(self._precision)
+        return Fit(evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull)

@@ -19,7 +19,7 @@ from service.inference.state import Array, Poses
 _SUN_STEP = 0.03  # rad of a difference
 _ENOUGH = 0.1  # nats: a step that gains less is the last
 _SHORTER = 0.3  # of a step that did not climb
-_DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation")
+_DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull")
 
 
 @dataclass(frozen=True)
@@ -133,16 +133,15 @@ def _systems(hill: Hill, poses: Poses, suns: Array, fits: list[Fit]) -> list[tup
 
 
 def _system(hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32]) -> tuple[Array, Array]:
-    both = np.concatenate([slopes.reshape(len(slopes), -1), fit.columns.reshape(len(fit.columns), -1)])
-    weighted = both * fit.weight.ravel()
-    normal = (weighted @ both.T).astype(np.float64)
+    flat = slopes.reshape(len(slopes), -1)
+    weighted = flat * fit.weight.ravel()
+    normal = (weighted @ flat.T).astype(np.float64)
     pull = (weighted @ fit.residual.ravel()).astype(np.float64)
-    d = len(slopes)
-    normal[range(d, len(both)), range(d, len(both))] += fit.precision
-    pull[d:] -= fit.precision * fit.deviation
+    cross = (fit.columns.reshape(len(fit.columns), -1) @ weighted.T).astype(np.float64)
     _add_prior(hill, normal, pull, pose, sun)
-    inner = np.linalg.solve(normal[d:, d:], np.column_stack([normal[d:, :d], pull[d:]]))
-    return normal[:d, :d] - normal[:d, d:] @ inner[:, :d], pull[:d] - normal[:d, d:] @ inner[:, d]
+    inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))
+    d = len(slopes)
+    return normal - cross.T @ inner[:, :d], pull - cross.T @ inner[:, d]
 
 
 def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) -> None:
