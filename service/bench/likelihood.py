@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from statistics import median
 
@@ -74,14 +74,14 @@ class LikelihoodPlan:
 
     def prior(self, case: Case) -> PosePrior:
         """The same as a prior of this pass's poses. A pass that does not know its Sun or scale tells nothing of it."""
-        known: dict[str, float | Array] = {"sun_sigma": _ANY_SUN}
+        prior = PosePrior(sun_sigma=_ANY_SUN)
         if self.told.sun and case.towards_sun is not None:
-            known["towards_sun"] = turned(case.towards_sun, self.told.sun_off_deg)
-            known["sun_sigma"] = float(np.deg2rad(self.sun_sigma_deg))
+            sun = turned(case.towards_sun, self.told.sun_off_deg)
+            prior = replace(prior, towards_sun=sun, sun_sigma=float(np.deg2rad(self.sun_sigma_deg)))
         if self.told.scale and case.scale_prior is not None:
-            scale, known["log_scale_sigma"] = case.scale_prior
-            known["log_scale"] = float(np.log(scale))
-        return PosePrior(**known)  # type: ignore[arg-type]
+            scale, sigma = case.scale_prior
+            prior = replace(prior, log_scale=float(np.log(scale)), log_scale_sigma=sigma)
+        return prior
 
 
 @dataclass(frozen=True)
