@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gpu.evidence import open_evidence
-from gpu.mesh import assemble
+from gpu.mesh import Mesh, assemble
 from gpu.raw_part import RawPart
 from gpu.shaded import open_shaded
 from gpu.surface_groups import surface_groups
@@ -31,15 +31,21 @@ def box(name: str, size, centre) -> RawPart:
     return RawPart(name, corners + np.array(centre), np.array(FACES))
 
 
-@functools.cache
-def lit_body() -> Drawing:
+def lit_mesh() -> tuple[Mesh, Articulation]:
     """A bus with a boom, and a panel that turns about y by ``panel`` degrees."""
     parts = [box("bus", (1.0, 1.4, 0.8), (0, 0, 0)), box("boom", (0.16, 0.16, 1.3), (0.3, -0.5, 1.0))]
     parts.append(box("panel", (0.8, 2.0, 0.04), (0.0, 1.8, 0.0)))
     mesh = assemble(parts)
     origin = tuple(-c for c in mesh.centre)
     turn = Stage("revolute", ("panel",), (0.0, 1.0, 0.0), origin)
-    articulation = Articulation(("bus", "boom", "panel"), (Joint("panel", "revolute", -180.0, 180.0, 0.0, (turn,)),))
+    joint = Joint("panel", "revolute", -180.0, 180.0, 0.0, (turn,))
+    return mesh, Articulation(("bus", "boom", "panel"), (joint,))
+
+
+@functools.cache
+def lit_body() -> Drawing:
+    """The mesh on a CPU, its panel free."""
+    mesh, articulation = lit_mesh()
     shaded = open_shaded(mesh, surface_groups(mesh))
     return Drawing(shaded, open_evidence(), articulation, shaded.n_groups, mesh.radius)
 
