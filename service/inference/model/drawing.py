@@ -79,7 +79,7 @@ class Quality:
     gloss: tuple[float, ...] = GLOSS_LOBES
 
 
-FINE = Quality(supersample=4, shadow_px=512)
+FINE = Quality(supersample=8, shadow_px=512)  # fewer samples are felt: the discrepancy may be 2 %
 COARSE = Quality(supersample=3, shadow_px=192)
 
 

@@ -14,8 +14,8 @@ from service.inference.model.drawing import FINE, Drawing, Quality, View
 from service.inference.model.likelihood import Scene, terms_of
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
 from service.inference.model.templates import Bank, directions
-from service.inference.numerics.gauss_newton import Hill, PosePrior, Refined, Trust, ascend
-from service.inference.pose import angle_between, concatenate
+from service.inference.numerics.gauss_newton import Hill, PosePrior, Refined, Trust, ascend, within
+from service.inference.pose import angle_between, concatenate, retract
 from service.inference.state import Array, Poses
 
 
@@ -93,12 +93,13 @@ FIRST = Stage(18, 1.5, 150, 1, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0
 ROUGH = Stage(18, 1.5, 56, 2, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
 MIDDLE = Stage(28, 1.0, 24, 2, 0.7, Quality(2, 128), Trust())
 SHARP = Stage(44, 0.8, 10, 2, 0.6, Quality(3, 192), Trust())
-FINEST = Stage(72, 0.7, 5, 8, 0.5, FINE, Trust())
+FINEST = Stage(96, 0.7, 5, 6, 0.5, FINE, Trust())
 BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, three times at the most
 _PER_KIND = 80  # templates of each kind that are looked at with the likelihood
 _COARSE_ROUNDS = 4
 _SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
 _SAME_DEG = 2.0  # after refinement
+_SHAKEN, _SHAKEN_KEPT, _SHAKEN_RAD = 24, 2, 0.12  # poses around the best, how many climb, how far about they lie
 _LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
 _TRIED = 60  # basins whose joints and Suns are tried anew
 _TOGETHER = 2  # joints that are tried in all combinations; more of them one after the other
@@ -158,10 +159,28 @@ def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, tol
     some = some[np.arange(min(FINEST.kept, len(some.found)))]
     nuisance = best_discrepancy(hill, some.poses[:1], some.suns[:1], nuisance)
     hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
-    out = ascend(hill, some.poses, some.suns.copy(), steps=FINEST.steps)
+    out = ascend(hill, some.poses, some.suns, steps=FINEST.steps)
+    out.sort(key=lambda one: -one.log_posterior)
+    near = shaken(hill, out[0])
+    out += ascend(hill, near.poses, near.suns, steps=FINEST.steps)
     out.sort(key=lambda one: -one.log_posterior)
     kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(_SAME_DEG))
     return Found([out[k] for k in kept], hill, nuisance)
+
+
+def shaken(hill: Hill, one: Refined) -> Candidates:
+    """The best of what lies some degrees around a pose: what was flat while it was coarse is rough when it is fine."""
+    d = 6 + one.pose.joints.shape[1]
+    steps = np.random.default_rng(_SHAKEN).standard_normal((_SHAKEN, d))
+    steps[:, :3] *= _SHAKEN_RAD
+    steps[:, 3:5] *= 0.1 * _SHAKEN_RAD * hill.drawing.radius * np.exp(one.pose.log_scale)
+    steps[:, 5] *= 0.2 * _SHAKEN_RAD
+    steps[:, 6:] *= np.rad2deg(_SHAKEN_RAD)
+    start = one.pose[np.zeros(_SHAKEN, dtype=np.intp)]
+    moved = retract(start, steps)
+    moved = replace(moved, joints=within(hill.drawing, moved.joints))
+    around = scored(hill, Candidates(moved, np.tile(one.sun, (_SHAKEN, 1)), np.zeros(_SHAKEN)))
+    return around[np.arange(_SHAKEN_KEPT)]
 
 
 def stage_hill(
@@ -230,7 +249,7 @@ def scored(hill: Hill, some: Candidates) -> Candidates:
 def climbed(hill: Hill, some: Candidates, stage: Stage) -> Candidates:
     """The best basins after a few steps of Gauss-Newton, best first."""
     some = best_of(some, stage.kept, _SHARED_DEG)
-    out = ascend(hill, some.poses, some.suns.copy(), steps=stage.steps, covariance=False)
+    out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance=False)
     moved = Candidates(
         concatenate(*[one.pose for one in out]),
         np.stack([one.sun for one in out]),
