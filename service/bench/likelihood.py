@@ -31,7 +31,8 @@ from service.imaging.psf import estimate_psf_sigma
 from service.inference.articulation import Articulation, hold
 from service.inference.model.drawing import Quality, View
 from service.inference.model.likelihood import terms_of
-from service.inference.model.search import Body, Found, Sight, make_bank, search
+from service.inference.model.search import Found, make_bank, search
+from service.inference.model.stages import Body, Sight
 from service.inference.model.templates import Bank
 from service.inference.numerics.gauss_newton import Hill, PosePrior, Refined, ascend
 from service.inference.pose import angle_between, concatenate, retract
@@ -179,7 +180,9 @@ def _look(shared: _Pass, k: int, data: bytes, truth_frame: TruthFrame) -> Looked
     psf = estimate_psf_sigma(contrast) or _PSF_PX
     sight = Sight(lambda span, wanted: cut(light, box.centre, span, wanted), box.side, psf)
     began = time.perf_counter()
-    found = search(shared.body, sight, shared.bank, shared.told)
+    more = find_light(light, specks=True)
+    wide = None if more is None else Sight(lambda span, wanted: cut(light, more.centre, span, wanted), more.side, psf)
+    found = search(shared.body, sight, shared.bank, shared.told, wide)
     search_ms = 1e3 * (time.perf_counter() - began)
     pose = truth_frame.poses(shared.held)
     likeness = Likeness.of(shared.case, shared.held, pose)

@@ -108,8 +108,12 @@ def _photon_transfer(above: Map, sigma: float) -> float:
     return float(slopes[np.argmin(np.abs(quartile - 0.1015))])
 
 
-def find_light(light: Light) -> Box | None:
-    """The box of the brightest connected light and of what lies near it; dark as well as light. None: empty sky."""
+def find_light(light: Light, *, specks: bool = False) -> Box | None:
+    """The box of the brightest connected light and of what lies near it; dark as well as light. None: empty sky.
+
+    What is as small as a star belongs to the object only if it almost touches it; with ``specks``, as larger things do:
+    of a body that is mostly in shadow a few specks are all that is seen.
+    """
     z = light.image / np.float32(light.sigma)
     smooth = np.abs(cv2.GaussianBlur(z, (0, 0), _SMOOTH_PX)) / np.float32(_SMOOTHED_SIGMA)
     count, labels, stats, _ = cv2.connectedComponentsWithStats((smooth > DETECTION_SIGMAS).astype(np.uint8))
@@ -121,7 +125,7 @@ def find_light(light: Light) -> Box | None:
     boxes, total = boxes[large].astype(np.float64), total[large]
     whole = boxes[np.argmax(total)]
     extent = (boxes[:, 2:] - boxes[:, :2]).max(axis=1)
-    share = np.where(extent <= _STAR_PX, _NEAR_STAR, _NEAR)  # a star is no boom
+    share = np.where((extent <= _STAR_PX) & (not specks), _NEAR_STAR, _NEAR)  # a star is no boom
     rest = np.ones(len(boxes), dtype=bool)
     while True:
         diagonal = float(np.hypot(whole[2] - whole[0], whole[3] - whole[1]))

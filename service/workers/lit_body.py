@@ -12,7 +12,7 @@ from gpu.shaded import open_shaded
 from gpu.surface_groups import surface_groups
 from service.inference.articulation import Articulation
 from service.inference.model.drawing import Drawing
-from service.inference.model.search import Body
+from service.inference.model.stages import Body
 
 ROUGH_GROUPS, ROUGH_RADIUS_PX = 12, 12.0
 MIDDLE_GROUPS, MIDDLE_RADIUS_PX = 20, 24.0

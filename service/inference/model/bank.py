@@ -124,7 +124,7 @@ def match(
         nothing = np.full((len(bank.pictures), len(bank.poses)), -1.0)
         return nothing, [bank.poses] * len(bank.pictures)
     scale = bank.poses.log_scale[:, None] + np.log(seen.zoom)[None]  # (N, V)
-    off: Array | float = 0.0
+    off: NDArray[np.floating] | float = 0.0
     if log_scale is not None:
         wide = 3 * log_scale_sigma + _HALF_STEP
         off = _PER_LOG_SCALE * np.maximum(np.abs(scale - log_scale) - wide, 0.0).astype(np.float32)

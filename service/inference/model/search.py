@@ -2,104 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model import bank as banks
-from service.inference.model.drawing import FINE, Drawing, Quality, View
-from service.inference.model.likelihood import Scene, terms_of
+from service.inference.model.likelihood import terms_of
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
+from service.inference.model.stages import (
+    FINEST,
+    FIRST,
+    MIDDLE,
+    ROUGH,
+    SHARP,
+    Body,
+    PatchLike,
+    Sight,
+    Stage,
+    stage_hill,
+)
 from service.inference.model.templates import Bank, directions
-from service.inference.numerics.gauss_newton import Hill, PosePrior, Refined, Trust, ascend, within
+from service.inference.numerics.gauss_newton import Hill, PosePrior, Refined, ascend, within
 from service.inference.pose import angle_between, concatenate, retract
 from service.inference.state import Array, Poses
 
-
-class PatchLike(Protocol):
-    """``service.imaging.patch.Patch``."""
-
-    @property
-    def image(self) -> NDArray[np.float32]:
-        """(S, S) light above the sky, counts."""
-        ...
-
-    @property
-    def sigma(self) -> float:
-        """Noise of one pixel of empty sky, counts."""
-        ...
-
-    @property
-    def photon(self) -> float:
-        """Variance per count."""
-        ...
-
-    @property
-    def hidden(self) -> float:
-        """Light of the sky that a body can hide at the most, counts."""
-        ...
-
-    @property
-    def censored(self) -> NDArray[np.bool_]:
-        """(S, S) pixels of which only a least value is known."""
-        ...
-
-    @property
-    def origin(self) -> tuple[float, float]:
-        """First corner, frame px."""
-        ...
-
-    @property
-    def binning(self) -> int:
-        """Frame px a side of a patch pixel."""
-        ...
-
-
-@dataclass(frozen=True)
-class Sight:
-    """A frame as a search sees it."""
-
-    cut: Callable[[float, float], PatchLike]  # span (px) that the light fills, patch px that it should fill -> patch
-    span: float  # of the light, px
-    psf: float  # first guess of the point spread's width, px
-
-
-@dataclass(frozen=True)
-class Body:
-    """One body, drawn from roughly to finely."""
-
-    rough: Drawing
-    middle: Drawing
-    fine: Drawing
-
-
-@dataclass(frozen=True)
-class Stage:
-    """One resolution of a search. All numbers are numerical: a search that stops early misses the truth, no more."""
-
-    wanted: float  # patch px that the light spans
-    low_pass: float  # patch px, at the least
-    kept: int  # basins that climb
-    steps: int  # of Gauss-Newton
-    difference: float  # patch px
-    quality: Quality
-    trust: Trust
-
-
-FIRST = Stage(18, 1.5, 150, 1, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
-ROUGH = Stage(18, 1.5, 56, 2, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
-MIDDLE = Stage(28, 1.0, 24, 2, 0.7, Quality(2, 128), Trust())
-SHARP = Stage(44, 0.8, 10, 2, 0.6, Quality(3, 192), Trust())
-FINEST = Stage(96, 0.7, 5, 6, 0.5, FINE, Trust())
 BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, three times at the most
 _PER_KIND = 80  # templates of each kind that are looked at with the likelihood
-_COARSE_ROUNDS = 4
 _SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
 _SAME_DEG = 2.0  # after refinement
 _SHAKEN, _SHAKEN_KEPT, _SHAKEN_RAD = 24, 2, 0.12  # poses around the best, how many climb, how far about they lie
+_WIDER = 1.3  # so much more must a wider sight span
 _LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
 _TRIED = 60  # basins whose joints and Suns are tried anew
 _TOGETHER = 2  # joints that are tried in all combinations; more of them one after the other
@@ -128,26 +62,43 @@ class Candidates:
         return Candidates(self.poses[index], self.suns[index], self.found[index])
 
 
-def search(body: Body, sight: Sight, bank: Bank, told: PosePrior) -> Found:
-    """All that a frame alone says of a pose."""
+def search(body: Body, sight: Sight, bank: Bank, told: PosePrior, wide: Sight | None = None) -> Found:
+    """All that a frame alone says of a pose.
+
+    ``wide``: a sight of more, in case that the body is more than what is seen at one place. The evidence of what both
+    propose, on the wider patch, says which of them the search goes on with.
+    """
     nuisance = Nuisance(sight.psf)
     if told.log_scale is not None:  # a body that is known to be large may show little of its light at a place
         across = _LIT_SHARE * 2 * body.fine.radius * float(np.exp(told.log_scale))
-        sight = replace(sight, span=max(sight.span, across))
-    first = sight.cut(sight.span, MIDDLE.wanted)
-    some = propose(bank, first, told)
+        sight, wide = replace(sight, span=max(sight.span, across)), None
+    some = started(body, sight, bank, told, nuisance)
+    if wide is not None and wide.span > _WIDER * sight.span:
+        more = started(body, wide, bank, told, nuisance)
+        hill = stage_hill(body.middle, wide, MIDDLE, nuisance, told, speckle=False)
+        few, others = (climbed(hill, scored(hill, one), MIDDLE) for one in (some, more))
+        if len(others.found) and (not len(few.found) or others.found[0] > few.found[0]):
+            sight, some = wide, others
     if not len(some.found):
         return Found([], stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance)
-    hill = stage_hill(body.rough, sight, ROUGH, nuisance, told, speckle=False)
-    some = best_of(scored(hill, some), len(some.found), _SHARED_DEG)
-    some = climbed(hill, varied(hill, some), FIRST)
-    some = climbed(hill, varied(hill, some), ROUGH)
     hill = stage_hill(body.middle, sight, MIDDLE, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), MIDDLE)
     nuisance = best_spread(hill, some.poses[:3], some.suns[:3], nuisance)
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     return finished(body, sight, some, nuisance, told)
+
+
+def started(body: Body, sight: Sight, bank: Bank, told: PosePrior, nuisance: Nuisance) -> Candidates:
+    """From templates to the basins of the roughest stage."""
+    first = sight.cut(sight.span, MIDDLE.wanted)
+    some = propose(bank, first, told)
+    if not len(some.found):
+        return some
+    hill = stage_hill(body.rough, sight, ROUGH, nuisance, told, speckle=False)
+    some = best_of(scored(hill, some), len(some.found), _SHARED_DEG)
+    some = climbed(hill, varied(hill, some), FIRST)
+    return climbed(hill, varied(hill, some), ROUGH)
 
 
 def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior) -> Found:
@@ -181,29 +132,6 @@ def shaken(hill: Hill, one: Refined) -> Candidates:
     moved = replace(moved, joints=within(hill.drawing, moved.joints))
     around = scored(hill, Candidates(moved, np.tile(one.sun, (_SHAKEN, 1)), np.zeros(_SHAKEN)))
     return around[np.arange(_SHAKEN_KEPT)]
-
-
-def stage_hill(
-    drawing: Drawing, sight: Sight, stage: Stage, nuisance: Nuisance, told: PosePrior, *, speckle: bool
-) -> Hill:
-    """What poses climb on at a stage."""
-    patch = sight.cut(sight.span, stage.wanted)
-    spread = nuisance.point_spread(patch.binning)
-    scene = Scene(
-        patch.image,
-        patch.sigma,
-        patch.photon,
-        patch.hidden,
-        patch.censored,
-        spread,
-        nuisance.discrepancy,
-        speckle,
-        max(stage.low_pass, 0.7 * spread.width),
-    )
-    view = View(patch.origin, patch.binning, len(patch.image))
-    free = speckle or told.towards_sun is None
-    rounds = 6 if speckle else _COARSE_ROUNDS
-    return Hill(scene, drawing, view, told, stage.quality, stage.difference, free, rounds, stage.trust)
 
 
 def bank_size(n_joints: int) -> int:

@@ -1,0 +1,116 @@
+"""The resolutions at which a search looks at a frame (docs/model.md, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.model.drawing import FINE, Drawing, Quality, View
+from service.inference.model.likelihood import Scene
+from service.inference.model.nuisance import Nuisance
+from service.inference.numerics.gauss_newton import Hill, PosePrior, Trust
+
+
+class PatchLike(Protocol):
+    """``service.imaging.patch.Patch``."""
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """(S, S) light above the sky, counts."""
+        ...
+
+    @property
+    def sigma(self) -> float:
+        """Noise of one pixel of empty sky, counts."""
+        ...
+
+    @property
+    def photon(self) -> float:
+        """Variance per count."""
+        ...
+
+    @property
+    def hidden(self) -> float:
+        """Light of the sky that a body can hide at the most, counts."""
+        ...
+
+    @property
+    def censored(self) -> NDArray[np.bool_]:
+        """(S, S) pixels of which only a least value is known."""
+        ...
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """First corner, frame px."""
+        ...
+
+    @property
+    def binning(self) -> int:
+        """Frame px a side of a patch pixel."""
+        ...
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A frame as a search sees it."""
+
+    cut: Callable[[float, float], PatchLike]  # span (px) that the light fills, patch px that it should fill -> patch
+    span: float  # of the light, px
+    psf: float  # first guess of the point spread's width, px
+
+
+@dataclass(frozen=True)
+class Body:
+    """One body, drawn from roughly to finely."""
+
+    rough: Drawing
+    middle: Drawing
+    fine: Drawing
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One resolution of a search. All numbers are numerical: a search that stops early misses the truth, no more."""
+
+    wanted: float  # patch px that the light spans
+    low_pass: float  # patch px, at the least
+    kept: int  # basins that climb
+    steps: int  # of Gauss-Newton
+    difference: float  # patch px
+    quality: Quality
+    trust: Trust
+
+
+FIRST = Stage(18, 1.5, 150, 1, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
+ROUGH = Stage(18, 1.5, 56, 2, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
+MIDDLE = Stage(28, 1.0, 24, 2, 0.7, Quality(2, 128), Trust())
+SHARP = Stage(44, 0.8, 10, 2, 0.6, Quality(3, 192), Trust())
+FINEST = Stage(96, 0.7, 5, 6, 0.5, FINE, Trust())
+COARSE_ROUNDS = 4  # of reweighting
+
+
+def stage_hill(
+    drawing: Drawing, sight: Sight, stage: Stage, nuisance: Nuisance, told: PosePrior, *, speckle: bool
+) -> Hill:
+    """What poses climb on at a stage."""
+    patch = sight.cut(sight.span, stage.wanted)
+    spread = nuisance.point_spread(patch.binning)
+    scene = Scene(
+        patch.image,
+        patch.sigma,
+        patch.photon,
+        patch.hidden,
+        patch.censored,
+        spread,
+        nuisance.discrepancy,
+        speckle,
+        max(stage.low_pass, 0.7 * spread.width),
+    )
+    view = View(patch.origin, patch.binning, len(patch.image))
+    free = speckle or told.towards_sun is None
+    rounds = 6 if speckle else COARSE_ROUNDS
+    return Hill(scene, drawing, view, told, stage.quality, stage.difference, free, rounds, stage.trust)
