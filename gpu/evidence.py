@@ -250,16 +250,17 @@ def open_evidence(kind: str = "cpu") -> LightEvidence:
 
 
 def _details(row: Numbers, unknowns: int, side: int) -> Details:
-    """One pose's row, as the kernel lays it out."""
+    """One pose's row, as the kernel lays it out; what lies behind its count is not written."""
     count, pixels = int(row[0]), side * side
     maps = row[LANES : LANES + 4 * pixels].reshape(4, side, side)
     rest = row[LANES + 4 * pixels :]
-    tail = rest[unknowns * pixels :].astype(np.float64)
+    tail = rest[unknowns * pixels :]
     columns = rest[: count * pixels].reshape(count, side, side)
-    normal = tail[2 * unknowns : 2 * unknowns + count * count].reshape(count, count)
-    pull = tail[unknowns * (unknowns + 2) :][:count]
-    precision, deviation = tail[:count], tail[unknowns : unknowns + count]
-    return Details(maps[0], maps[1], maps[2], maps[3], columns, precision, deviation, normal, pull)
+    starts = (0, unknowns, 2 * unknowns, unknowns * (unknowns + 2))
+    lengths = (count, count, count * count, count)
+    parts = [tail[at : at + length].astype(np.float64) for at, length in zip(starts, lengths, strict=True)]
+    maps_four = maps[0], maps[1], maps[2], maps[3]
+    return Details(*maps_four, columns, parts[0], parts[1], parts[2].reshape(count, count), parts[3])
 
 
 def _lanes(count: int) -> int:
