@@ -43,6 +43,7 @@ from service.workers.tracker import Tracker
 
 _PNG = "image/png"
 _PSF_PX = 1.2  # where a frame shows too few edges to tell
+_ASIDE = np.array([0.6, 0.0, -0.8])  # towards a Sun of which nothing is known
 _ANY_SUN = 1.0  # rad: what a session is told that is told no Sun
 _CLIMB = 4  # steps of the truth and of its twins
 _OFF_STEPS = 6
@@ -95,7 +96,7 @@ class LikelihoodRow:
     truth_wins: bool
     margin_nats: float | None
     twin_margin_nats: float | None
-    found_err_deg: float
+    found_err_deg: float | None  # None: nothing was found
     found_twin_ok: bool | None
     refined_err_deg: float
     in50: bool
@@ -190,7 +191,8 @@ def _look(shared: _Pass, k: int, data: bytes, truth_frame: TruthFrame) -> Looked
     truth, *twins = _climbed(found.hill, pose if likeness.twins is None else concatenate(pose, likeness.twins), sun)
     away = retract(pose, off(shared.held, np.random.default_rng([k, *shared.case.name.encode()])))
     back = ascend(found.hill, away, sun[None].copy(), steps=_OFF_STEPS)[0]
-    errors, values = likeness.errors_deg(_poses(found.basins)), _values(found.basins)
+    best = found.basins[0].pose if found.basins else None
+    errors, values = _errors(likeness, found.basins), _values(found.basins)
     beaten = margin(truth.log_posterior, values, errors)
     deviation = squared_deviation(back.pose, back.covariance, pose)
     row = LikelihoodRow(
@@ -200,8 +202,8 @@ def _look(shared: _Pass, k: int, data: bytes, truth_frame: TruthFrame) -> Looked
         truth_wins=beaten is None or beaten >= 0,
         margin_nats=beaten,
         twin_margin_nats=_twin_margin(truth, twins, likeness),
-        found_err_deg=float(errors[0]),
-        found_twin_ok=likeness.right_twin(found.basins[0].pose),
+        found_err_deg=None if best is None else float(errors[0]),
+        found_twin_ok=None if best is None else likeness.right_twin(best),
         refined_err_deg=float(np.rad2deg(angle_between(back.pose.quaternion, pose.quaternion))[0]),
         in50=deviation < CHI2_50,
         in90=deviation < CHI2_90,
@@ -229,11 +231,13 @@ def off(held: Articulation, rng: np.random.Generator) -> Array:
 
 
 def _sun(shared: _Pass, found: Found) -> Array:
-    """From where the truth climbs: the Sun that is told; else the true one, or where that is unknown, what is found."""
+    """From where the truth climbs: the Sun that is told; else the true one; else that of what is found, or any."""
     if shared.told.towards_sun is not None:
         return shared.told.towards_sun
     true = shared.case.towards_sun
-    return found.basins[0].sun if true is None else np.asarray(true / np.linalg.norm(true))
+    if true is not None:
+        return np.asarray(true / np.linalg.norm(true))
+    return found.basins[0].sun if found.basins else _ASIDE
 
 
 def _climbed(hill: Hill, poses: Poses, sun: Array) -> list[Refined]:
@@ -243,11 +247,11 @@ def _climbed(hill: Hill, poses: Poses, sun: Array) -> list[Refined]:
 def _twin_margin(truth: Refined, twins: Sequence[Refined], likeness: Likeness) -> float | None:
     if not twins:
         return None
-    return twin_margin(truth.log_posterior, _values(twins), likeness.errors_deg(_poses(twins)))
+    return twin_margin(truth.log_posterior, _values(twins), _errors(likeness, twins))
 
 
-def _poses(found: Sequence[Refined]) -> Poses:
-    return concatenate(*(one.pose for one in found))
+def _errors(likeness: Likeness, found: Sequence[Refined]) -> Array:
+    return likeness.errors_deg(concatenate(*(one.pose for one in found))) if found else np.zeros(0)
 
 
 def _values(found: Sequence[Refined]) -> Array:

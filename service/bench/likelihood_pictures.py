@@ -54,7 +54,8 @@ def _label(row: LikelihoodRow) -> tuple[str, ...]:
     margin = "no other" if row.margin_nats is None else f"{row.margin_nats:+.1f} nats"
     twin = "" if row.twin_margin_nats is None else f"twin {row.twin_margin_nats:+.1f}"
     air = "turbulent" if row.turbulent else ""
-    return f"{row.case} {row.frame}", margin, twin, f"found {row.found_err_deg:.1f} deg", air
+    found = "nothing found" if row.found_err_deg is None else f"found {row.found_err_deg:.1f} deg"
+    return f"{row.case} {row.frame}", margin, twin, found, air
 
 
 def _grey(image: NDArray[np.float32], white: float) -> RGB:

@@ -53,7 +53,7 @@ def overall(rows: Sequence[LikelihoodRow]) -> Row:
         "lost_far": _share([row.margin_nats is not None and row.margin_nats < -FAR_BEHIND_NATS for row in rows]),
         "worst_nats": _rounded(min(margins, default=None)),
         "beats_twin": _share([nats >= 0 for nats in twins]),
-        "found": _share([row.found_err_deg <= NEAR_DEG for row in rows]),
+        "found": _share([row.found_err_deg is not None and row.found_err_deg <= NEAR_DEG for row in rows]),
         "right_twin": _share([row.found_twin_ok for row in rows if row.found_twin_ok is not None]),
         "refined_med": _percentile(refined, 50),
         "refined_p90": _percentile(refined, 90),

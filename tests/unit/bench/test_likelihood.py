@@ -69,6 +69,7 @@ def test_shares_leave_out_what_is_not_defined():
     assert (total["in50_calm"], total["in90_calm"]) == (1.0, 0.667)
     assert (total["in50_turbulent"], total["in90_turbulent"]) == (0.0, 1.0)
     assert overall([ROW])["in50_turbulent"] is None
+    assert overall([ROW, replace(ROW, found_err_deg=None)])["found"] == 0.5
 
 
 def test_the_narrowest_frames_are_shown_first():
