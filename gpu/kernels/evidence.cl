@@ -284,7 +284,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         r.box[slot] = wide;
         note_reach(s, r, slot, wide);
         r.plane[lit] = p;
-        r.mean[lit] = 0.0;
+        r.mean[lit] = (double)given_mean[p];
         r.precision[lit] = (double)given_precision[p];
         ++lit;
     }
