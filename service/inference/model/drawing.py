@@ -79,16 +79,7 @@ class Quality:
     gloss: tuple[float, ...] = GLOSS_LOBES
 
 
-FINE = Quality(supersample=8, shadow_px=512)
-"""Fewer samples across a body are felt: the discrepancy may be 2 %. ``fine_for`` takes fewer where pixels are many."""
-_FINE_SAMPLES = 800
-
-
-def fine_for(side: int) -> Quality:
-    """As fine as ``FINE``, but no more than 800 samples a side, four a pixel at the least."""
-    return Quality(int(np.clip(_FINE_SAMPLES // side, 4, FINE.supersample)), FINE.shadow_px)
-
-
+FINE = Quality(supersample=8, shadow_px=512)  # fewer samples are felt: the discrepancy may be 2 %
 COARSE = Quality(supersample=3, shadow_px=192)
 
 

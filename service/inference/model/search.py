@@ -34,8 +34,6 @@ _SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
 _SAME_DEG = 2.0  # after refinement
 _SHAKEN, _SHAKEN_KEPT, _SHAKEN_RAD = 24, 2, 0.12  # poses around the best, how many climb, how far about they lie
 _WIDER = 1.3  # so much more must a wider sight span
-_FIRST_STEPS = 2  # of all basins at the finest stage
-_BEHIND_NATS = 50.0  # who is so far behind then stays there
 _LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
 _TRIED = 60  # basins whose joints and Suns are tried anew
 _TOGETHER = 2  # joints that are tried in all combinations; more of them one after the other
@@ -112,13 +110,10 @@ def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, tol
     some = some[np.arange(min(FINEST.kept, len(some.found)))]
     nuisance = best_discrepancy(hill, some.poses[:1], some.suns[:1], nuisance)
     hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
-    out = ascend(hill, some.poses, some.suns, steps=_FIRST_STEPS, covariance=False)
-    best = max(out, key=lambda one: one.log_posterior)
-    ahead = [one for one in out if one.log_posterior > best.log_posterior - _BEHIND_NATS]
-    near = shaken(hill, best)
-    poses = concatenate(*[one.pose for one in ahead], near.poses)
-    suns = np.concatenate([np.stack([one.sun for one in ahead]), near.suns])
-    out = [one for one in out if one not in ahead] + ascend(hill, poses, suns, steps=FINEST.steps)
+    out = ascend(hill, some.poses, some.suns, steps=FINEST.steps)
+    out.sort(key=lambda one: -one.log_posterior)
+    near = shaken(hill, out[0])
+    out += ascend(hill, near.poses, near.suns, steps=FINEST.steps)
     out.sort(key=lambda one: -one.log_posterior)
     kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(_SAME_DEG))
     return Found([out[k] for k in kept], hill, nuisance)

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.inference.model.drawing import FINE, Drawing, Quality, View, fine_for
+from service.inference.model.drawing import FINE, Drawing, Quality, View
 from service.inference.model.likelihood import Scene
 from service.inference.model.nuisance import Nuisance
 from service.inference.numerics.gauss_newton import Hill, PosePrior, Trust
@@ -113,5 +113,4 @@ def stage_hill(
     view = View(patch.origin, patch.binning, len(patch.image))
     free = speckle or told.towards_sun is None
     rounds = 6 if speckle else COARSE_ROUNDS
-    quality = fine_for(view.side) if stage is FINEST else stage.quality
-    return Hill(scene, drawing, view, told, quality, stage.difference, free, rounds, stage.trust)
+    return Hill(scene, drawing, view, told, stage.quality, stage.difference, free, rounds, stage.trust)

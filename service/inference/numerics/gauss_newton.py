@@ -57,7 +57,7 @@ class Hill:
     trust: Trust = Trust()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Refined:
     """A pose, the Sun it goes with, its light, and the covariance of (rx, ry, rz, x, y, log scale, joints)."""
 
@@ -65,7 +65,7 @@ class Refined:
     sun: Array  # (3,)
     fit: Fit
     log_posterior: float  # evidence, and the prior of scale and Sun
-    covariance: Array  # (6 + J, 6 + J) rad, frame px, log, deg or model units; NaN where it was not asked for
+    covariance: Array  # (6 + J, 6 + J) rad, frame px, log, deg or model units
 
 
 def ascend(hill: Hill, poses: Poses, suns: Array, *, steps: int, covariance: bool = True) -> list[Refined]:
