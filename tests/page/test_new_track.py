@@ -30,11 +30,10 @@ def models(server):
 
 def begun(page, press) -> dict:
     """The request for the session that pressing a button sends, which is answered with nothing."""
-    asked = []
-    page.route("**/v1/sessions", lambda route: (asked.append(route.request.post_data_json), route.abort())[1])
-    with page.expect_request(lambda request: request.method == "POST" and request.url.endswith("/v1/sessions")):
+    page.route("**/v1/sessions", lambda route: route.abort())
+    with page.expect_request(lambda request: request.method == "POST" and request.url.endswith("/v1/sessions")) as sent:
         press()
-    return asked[-1]
+    return sent.value.post_data_json
 
 
 def test_models_are_compared(server, open_page, frames, models):
