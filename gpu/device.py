@@ -7,10 +7,13 @@ import functools
 import os
 import shutil
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import pyopencl as cl
+
+from gpu.errors import DeviceError
 
 PROBE = "__kernel void probe(__global int *out) { out[get_global_id(0)] = (int)get_global_id(0) * 3 + 1; }"
 
@@ -47,6 +50,14 @@ def no_device_reason() -> str:
     if not found:
         return "no OpenCL platform is installed (on Debian: apt install pocl-opencl-icd)"
     return "; ".join(f"{r.name} on {r.platform}: {r.rejected}" for r in found if r.rejected)
+
+
+def first_device(kind: str, reports: Iterable[DeviceReport] | None = None) -> DeviceReport:
+    """The first usable device of a kind (``cpu``, ``gpu``). Raises ``DeviceError`` where OpenCL has none."""
+    for report in find_devices() if reports is None else reports:
+        if report.rejected is None and report.kind == kind:
+            return report
+    raise DeviceError(f"no {kind.upper()} is an OpenCL device: {no_device_reason() or 'others are'}")
 
 
 def open_device(report: DeviceReport) -> cl.Device:

@@ -13,9 +13,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.device import DeviceReport, find_devices, no_device_reason, open_device
-from gpu.errors import DeviceError
-from gpu.program import KernelArgument, build, constant, device_errors
+from gpu.device import DeviceReport, first_device, open_device
+from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
 
 Numbers = NDArray[np.float32]
 FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
@@ -150,8 +149,8 @@ class LightEvidence:
         with device_errors(self.name):
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
+            self._memory = Scratch(self._context)
             self._kernel = cl.Kernel(build(self._context, *FILES), "evidence")
-        self._memory: tuple[int, cl.Buffer] | None = None
 
     def evidence(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int) -> Answers:
         """``planes`` (N, Q, S, S): groups, even light, gloss of groups; none is lit where there is no even light."""
@@ -168,7 +167,7 @@ class LightEvidence:
     def close(self) -> None:
         """Wait for the device and give its memory back."""
         self._queue.finish()
-        self._memory = None
+        self._memory.close()
 
     @staticmethod
     def _unknowns(n_planes: int, terms: Terms) -> int:
@@ -222,8 +221,8 @@ class LightEvidence:
                 *(np.int32(v) for v in sizes),
                 *(np.float32(v) for v in scalars),
             )
-            tail = (self._scratch(4 * each * items), np.uint64(each))
-            counter = constant(self._context, np.zeros(1, np.int32))
+            tail = (self._memory.of(4 * each * items), np.uint64(each))
+            counter = zero(self._context)
             self._kernel(self._queue, (items,), (1,), *head, result, coefficients, more, *tail, counter)
             cl.enqueue_copy(self._queue, out, result)
             cl.enqueue_copy(self._queue, drawn, coefficients)
@@ -234,19 +233,10 @@ class LightEvidence:
                 self._queue.finish()
         return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn)
 
-    def _scratch(self, size: int) -> cl.Buffer:
-        if self._memory is None or self._memory[0] < size:
-            self._memory = None
-            self._memory = size, cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
-        return self._memory[1]
-
 
 def open_evidence(kind: str = "cpu") -> LightEvidence:
     """On the first usable device of this kind. Raises ``DeviceError`` where OpenCL has none."""
-    for report in find_devices():
-        if report.rejected is None and report.kind == kind:
-            return LightEvidence(report)
-    raise DeviceError(f"no {kind.upper()} is an OpenCL device: {no_device_reason() or 'others are'}")
+    return LightEvidence(first_device(kind))
 
 
 def _details(row: Numbers, unknowns: int, side: int) -> Details:

@@ -42,6 +42,26 @@ def zero(context: cl.Context) -> cl.Buffer:
     return constant(context, np.zeros(1, np.int32))
 
 
+class Scratch:
+    """Memory of all work-items together, kept until more is needed."""
+
+    def __init__(self, context: cl.Context) -> None:
+        self._context = context
+        self._size = 0
+        self._held: cl.Buffer | None = None
+
+    def of(self, size: int) -> cl.Buffer:
+        """At least ``size`` bytes; what was handed out before may be gone."""
+        if self._held is None or self._size < size:
+            self._held = None  # given back before more is asked for
+            self._size, self._held = size, cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
+        return self._held
+
+    def close(self) -> None:
+        """Give it back."""
+        self._size, self._held = 0, None
+
+
 @contextmanager
 def device_errors(name: str) -> Iterator[None]:
     """Raise ``ScorerError`` where memory is short, ``DeviceLostError`` where the device fails."""

@@ -8,10 +8,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.device import DeviceReport, find_devices, no_device_reason, open_device
-from gpu.errors import DeviceError
+from gpu.device import DeviceReport, first_device, open_device
 from gpu.mesh import Mesh
-from gpu.program import KernelArgument, build, constant, device_errors
+from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
 from gpu.shaded_faces import LANES, FaceTable, face_table
 from gpu.shaded_reference import BIAS_TEXELS, STEEPEST
 from gpu.shaded_views import SIDE, views_of_parts
@@ -38,10 +37,10 @@ class ShadedBody:
         self.n_groups = int(groups.max(initial=0)) + 1
         self._n_parts, self._radius = len(mesh.parts), np.float32(mesh.radius)
         self._is_cpu = report.kind == "cpu"
-        self._memory: tuple[int, cl.Buffer] | None = None
         with device_errors(self.name):
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
+            self._memory = Scratch(self._context)
             options = [f"-DBIAS={BIAS_TEXELS}f", f"-DSTEEPEST={STEEPEST}f"]
             program = build(self._context, *FILES, options=options)
             kernels = (cl.Kernel(program, name) for name in ("planes", "combined", "mark_seen"))
@@ -126,7 +125,7 @@ class ShadedBody:
     def close(self) -> None:
         """Wait for the device and give its memory back."""
         self._queue.finish()
-        self._memory = None
+        self._memory.close()
 
     def _given(
         self, part_transforms: NDArray[np.floating], towards_sun: NDArray[np.floating]
@@ -192,8 +191,8 @@ class ShadedBody:
             inputs = (cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in given)
             result = cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=out)
             exponents = () if gloss is None else (constant(self._context, np.asarray(gloss, np.float32)),)
-            counter = constant(self._context, np.zeros(1, np.int32))
-            scratch = self._scratch(4 * each * items)
+            counter = zero(self._context)
+            scratch = self._memory.of(4 * each * items)
             head = (*inputs, np.int32(n), *self._body, *(np.int32(v) for v in numbers), *exponents, result, scratch)
             kernel(self._queue, (items,), (1,), *head, np.int32(each), counter, *more)
             mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
@@ -204,13 +203,6 @@ class ShadedBody:
         """Work-items that share the poses: one for each core of a CPU, on a GPU as many as its memory may hold."""
         most = self._queue.device.max_compute_units if self._is_cpu else min(_GPU_ITEMS, _GPU_BYTES // (4 * each))
         return max(min(int(most), poses), 1)
-
-    def _scratch(self, size: int) -> cl.Buffer:
-        """Memory of all work-items together, kept until more is needed."""
-        if self._memory is None or self._memory[0] < size:
-            self._memory = None
-            self._memory = size, cl.Buffer(self._context, cl.mem_flags.READ_WRITE, size)
-        return self._memory[1]
 
 
 def open_shaded(
@@ -228,10 +220,7 @@ def open_shaded(
     """
     if len(groups) != mesh.n_faces:
         raise ValueError(f"{len(groups)} groups are given for {mesh.n_faces} faces")
-    for report in find_devices() if reports is None else reports:
-        if report.rejected is None and report.kind == kind:
-            return ShadedBody(mesh, groups, report, drop_hidden)
-    raise DeviceError(f"no {kind.upper()} is an OpenCL device: {no_device_reason() or 'others are'}")
+    return ShadedBody(mesh, groups, first_device(kind, reports), drop_hidden)
 
 
 def _lanes(count: int) -> int:

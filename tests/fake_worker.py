@@ -182,3 +182,13 @@ class VerySlowWorker(FakeWorker):
     """Takes long enough for a stop in the middle of a frame."""
 
     delay_s = 3.0
+
+
+class Recorder(FakeWorker):
+    """Keeps what the frames were asked with."""
+
+    jobs: list = []  # noqa: RUF012 -- one worker at a time
+
+    def track(self, job):
+        self.jobs.append(job)
+        return super().track(job)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import cv2
@@ -104,8 +105,14 @@ def _photon_transfer(above: Map, sigma: float) -> float:
         return least
     square, light = fine[bright] ** 2, local[bright]
     slopes = np.geomspace(least, sigma, 40)
-    quartile = np.array([np.quantile(square / (sigma**2 + slope * light), 0.25) for slope in slopes])
-    return float(slopes[np.argmin(np.abs(quartile - 0.1015))])
+
+    def above_quartile(k: int) -> float:
+        """Falls as slopes rise."""
+        return float(np.quantile(square / (sigma**2 + slopes[k] * light), 0.25)) - 0.1015
+
+    k = bisect_left(range(len(slopes)), 0.0, key=lambda k: -above_quartile(k))
+    near = range(max(k - 1, 0), min(k + 1, len(slopes)))
+    return float(slopes[min(near, key=lambda k: abs(above_quartile(k)))])
 
 
 def find_light(light: Light, *, specks: bool = False) -> Box | None:

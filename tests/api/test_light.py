@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from api_client import running
-from fake_worker import FakeWorker
+from fake_worker import Recorder
 
 from service.api.schemas import Estimate, Light
 from service.attitude.sun import sun_from_earth
@@ -21,16 +21,6 @@ LIT, DARK = "2019-12-11T15:05:00Z", "2019-12-11T15:20:00Z"
 WHEN = "2026-11-20T03:04:05Z"
 POINTED = {"ra_deg": 200, "dec_deg": -35, "position_angle_deg": 30}
 UNKNOWN = {"sun": None, "source": "unknown", "sigma_deg": None, "phase_deg": None, "sunlit": None}
-
-
-class Recorder(FakeWorker):
-    """Keeps what the frames were asked with."""
-
-    jobs: list = []  # noqa: RUF012 -- one worker at a time
-
-    def track(self, job):
-        self.jobs.append(job)
-        return super().track(job)
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from api_client import running
-from fake_worker import FakeWorker
+from fake_worker import Recorder
 
 from service.api.schemas import Estimate
 
@@ -15,16 +15,6 @@ TLE = (
 SITE = {"site_latitude_deg": 48.23, "site_longitude_deg": 16.34, "site_height_m": 250.0}
 CAMERA = {**SITE, "pixel_scale_arcsec": 0.5}
 HIGH, LOW = "2019-12-11T15:05:00Z", "2019-12-11T15:50:00Z"
-
-
-class Recorder(FakeWorker):
-    """Keeps what the last frame was asked with."""
-
-    jobs: list = []  # noqa: RUF012 -- one worker at a time
-
-    def track(self, job):
-        self.jobs.append(job)
-        return super().track(job)
 
 
 @pytest.fixture

@@ -80,7 +80,6 @@ class Quality:
 
 
 FINE = Quality(supersample=8, shadow_px=512)  # fewer samples are felt: the discrepancy may be 2 %
-COARSE = Quality(supersample=3, shadow_px=192)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ Images = NDArray[np.float32]
 SIDE = 32
 KINDS = ("light", "root", "lit", "edges", "outline")
 _RIM_PX = 7.5  # root mean square distance of lit pixels from their middle, in a template
-_EVEN = 0.04  # even light in the pictures
 _FIRST_SIDE = 24  # of the draft from which the moments are taken
 _LIT = 0.08  # of the brighter light: lit from here on
 _BLUR_PX = 1.0  # of the pictures: rotations lie 12 degrees apart
