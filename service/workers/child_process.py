@@ -102,7 +102,10 @@ class ChildProcess:
         """End it at once and release everything."""
         self._reaper.cancel()
         self._process.kill()
-        self._process.join()
+        # A thread that starts a process also reaps those that ended: until it has noted how this one ended,
+        # join returns at once.
+        while self._process.exitcode is None:
+            self._process.join()
         self._process.close()
         self._channel.close()
 

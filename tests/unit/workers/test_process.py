@@ -10,7 +10,7 @@ import pytest
 from fake_worker import FakeWorker
 
 from service.errors import ImageError, SkyposeError, StoppingError, WorkerFailedError
-from service.workers.child_process import Program
+from service.workers.child_process import ChildProcess, Program
 from service.workers.pool import ProcessTransport
 from service.workers.process import WorkerProcess
 from service.workers.spare import Spare
@@ -157,6 +157,21 @@ async def test_spare_takes_the_place_of_one_that_is_lost():
     finally:
         await process.close()
         spare.close()
+
+
+def test_end_waits_for_the_thread_that_reaped_the_process(monkeypatch):
+    child = ChildProcess(Program(FACTORY_OF_AWKWARD))
+    child.wait_ready()
+    popen = child._process._popen
+    real, asked = popen.poll, []
+
+    def noted_late(*flag):
+        asked.append(flag)
+        return real(*flag) if len(asked) > 2 else None
+
+    monkeypatch.setattr(popen, "poll", noted_late)
+    child.end()
+    assert len(asked) > 2
 
 
 async def test_spare_that_cannot_be_built_is_done_without():
