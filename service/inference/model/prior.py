@@ -18,8 +18,22 @@ DISCREPANCY, DISCREPANCY_LOG_SIGMA = 0.04, 0.35  # tau
 DISCREPANCY_LENGTH = 17.0  # patch px over which the discrepancy is alike
 DISCREPANCY_LEAST = 18.0  # pixels' areas over which it is alike, at the least
 EDGE_PX = 2.0  # discrepancy of places: mesh and mean pose are so far from right, in units of tau
+POSE_DEGREES_OF_FREEDOM = (
+    4.0  # of a pose: c tau^2 is known to a factor of two, and a variance so known gives a Student t
+)
 LOW_PASS_SHARE = 0.7  # the frame's own low pass, as a share of the point spread's width
 DEGREES_OF_FREEDOM = 4.0  # of the Student t of a pixel
+EXISTENCE = (0.1, 0.8, 0.1)  # absent, fits, no_fit, before anything is known
+CHANGES_PER_S = 0.05  # of existence, per second
+LOG_CHI2 = (-0.2, 1.1)  # mean, sigma of log chi2 where poses are right: 700 frames of 26 passes
+LOG_CHI2_UNLIKE = (3.4, 1.5)  # of another body's light: some pixels are far off, which the likelihood's tails forgive
+UNLIKE = 0.3  # tau of light that another body throws
+SEARCH_FINDS = (2.0, 0.5)  # Beta law of the share of searches that meet the truth, from body to body
+EVIDENCE_TRUST = 0.25  # power of evidence from one mode to another: the truth loses by up to 14 nats in single frames
+FADES = 0.5  # log of the light's change from one frame to the next: turning panels, glints
+MEMORY_KEPT = 0.4  # of what earlier frames say of a pose: they err where the next one errs
+EVIDENCE_KEPT = 0.7  # of what earlier frames say of one mode against another, likewise
+BIRTH = 0.1  # probability that the truth is not among the modes when a search is made
 GAIN_SIGMA = 2.0  # of log gain about what the frame's light suggests: as good as flat
 
 

@@ -6,6 +6,7 @@ Many poses climb at once: each round draws all their differences in one launch.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +14,15 @@ from numpy.typing import NDArray
 from service.inference.model.drawing import FINE, Drawing, Quality, View
 from service.inference.model.likelihood import ROUNDS, Fit, Scene, terms_of
 from service.inference.model.spread import spread
+from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
 
 _SUN_STEP = 0.03  # rad of a difference
 _ENOUGH = 0.1  # nats: a step that gains less is the last
+_ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
 _SHORTER = 0.3  # of a step that did not climb
 _DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull")
-
-
-@dataclass(frozen=True)
-class PosePrior:
-    """What is known of a pose beside the frame."""
-
-    log_scale: float | None = None
-    log_scale_sigma: float = 0.03
-    towards_sun: Array | None = None  # (3,) unit
-    sun_sigma: float = 0.0175  # rad
 
 
 @dataclass(frozen=True)
@@ -68,16 +61,30 @@ class Refined:
     covariance: Array  # (6 + J, 6 + J) rad, frame px, log, deg or model units
 
 
-def ascend(hill: Hill, poses: Poses, suns: Array, *, steps: int, covariance: bool = True) -> list[Refined]:
-    """Climb from N poses, each with its Sun (N, 3); ``steps`` at the most. In the order given."""
-    suns = suns.copy()
-    fits, scores = _look(hill, poses, suns)
+def ascend(
+    hill: Hill,
+    poses: Poses,
+    suns: Array,
+    *,
+    steps: int,
+    covariance: Literal["exact", "last", "none"] = "exact",
+    believed: Believed | None = None,
+) -> list[Refined]:
+    """Climb from N poses, each with its Sun (N, 3); ``steps`` at the most. In the order given.
+
+    ``covariance``: at the end, at the place of the last step's start (which is cheaper), or none.
+    """
+    suns, d = suns.copy(), 6 + poses.joints.shape[1]
+    fits, scores = _look(hill, poses, suns, believed, np.arange(len(poses)))
+    curvatures: list[Array] = [np.full((d, d), np.nan)] * len(poses)
     going = np.ones(len(poses), dtype=bool)
     for _ in range(steps):
         at = np.flatnonzero(going)
         if not len(at):
             break
-        systems = _systems(hill, poses[at], suns[at], [fits[k] for k in at])
+        systems = _systems(hill, poses[at], suns[at], [fits[k] for k in at], believed, at)
+        for k, (curvature, _) in zip(at, systems, strict=True):
+            curvatures[k] = curvature
         damping = _damping(hill, poses[at])
         moves = np.array([np.linalg.solve(c + np.diag(d), p) for (c, p), d in zip(systems, damping, strict=True)])
         before = scores[at].copy()
@@ -87,7 +94,7 @@ def ascend(hill: Hill, poses: Poses, suns: Array, *, steps: int, covariance: boo
                 break
             chosen = np.searchsorted(at, left)
             trial, trial_suns = _moved(poses[left], suns[left], share * moves[chosen], hill)
-            trial_fits, trial_scores = _look(hill, trial, trial_suns)
+            trial_fits, trial_scores = _look(hill, trial, trial_suns, believed, left)
             better = np.flatnonzero(trial_scores > scores[left])
             poses = _replaced(poses, left[better], trial[better])
             suns[left[better]] = trial_suns[better]
@@ -95,15 +102,25 @@ def ascend(hill: Hill, poses: Poses, suns: Array, *, steps: int, covariance: boo
             for k in better:
                 fits[left[k]] = trial_fits[k]
         going[at] = scores[at] > before + _ENOUGH
-    d = 6 + poses.joints.shape[1]
-    spreads = [np.full((d, d), np.nan)] * len(poses)
-    if covariance:
-        spreads = [np.linalg.inv(c)[:d, :d] for c, _ in _systems(hill, poses, suns, fits)]
+    if covariance == "exact":
+        curvatures = [c for c, _ in _systems(hill, poses, suns, fits, believed, np.arange(len(poses)))]
+    spreads = [c if covariance == "none" else _inverse(c)[:d, :d] for c in curvatures]
     return [Refined(poses[k : k + 1], suns[k], fits[k], float(scores[k]), spreads[k]) for k in range(len(poses))]
 
 
-def _look(hill: Hill, poses: Poses, suns: Array) -> tuple[list[Fit], Array]:
-    """The light of each pose, and its log posterior."""
+def _inverse(curvature: Array) -> Array:
+    """Covariance of a curvature whose least directions may be lost in the pictures' rounding."""
+    if not np.isfinite(curvature).all():
+        return np.full_like(curvature, np.nan)
+    size = np.sqrt(np.maximum(np.diag(curvature), 1e-30))
+    values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T) / np.outer(size, size))
+    return np.asarray((vectors / np.maximum(values, _ROUNDING)) @ vectors.T / np.outer(size, size))
+
+
+def _look(
+    hill: Hill, poses: Poses, suns: Array, believed: Believed | None = None, at: NDArray[np.intp] | None = None
+) -> tuple[list[Fit], Array]:
+    """The light of each pose, and its log posterior; ``at``: their numbers among what is believed."""
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
     terms = terms_of(hill.scene, hill.drawing.n_groups, planes.shape[1])
     found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, hill.rounds)
@@ -111,7 +128,8 @@ def _look(hill: Hill, poses: Poses, suns: Array) -> tuple[list[Fit], Array]:
         Fit(float(e), float(x), c, *(getattr(more, name) for name in _DETAILS))
         for e, x, c, more in zip(found.log_evidence, found.chi2, found.coefficients, details, strict=True)
     ]
-    return fits, np.asarray(found.log_evidence + _log_prior(hill.told, poses, suns))
+    before = 0.0 if believed is None or at is None else believed.log_density(poses, at)
+    return fits, np.asarray(found.log_evidence + _log_prior(hill.told, poses, suns) + before)
 
 
 def _log_prior(told: PosePrior, poses: Poses, suns: Array) -> Array:
@@ -123,13 +141,26 @@ def _log_prior(told: PosePrior, poses: Poses, suns: Array) -> Array:
     return out
 
 
-def _systems(hill: Hill, poses: Poses, suns: Array, fits: list[Fit]) -> list[tuple[Array, Array]]:
+def _systems(
+    hill: Hill,
+    poses: Poses,
+    suns: Array,
+    fits: list[Fit],
+    believed: Believed | None = None,
+    at: NDArray[np.intp] | None = None,
+) -> list[tuple[Array, Array]]:
     """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated.
 
     D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
     """
     slopes = _differences(hill, poses, suns, fits)
-    return [_system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k]) for k in range(len(poses))]
+    found = [_system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k]) for k in range(len(poses))]
+    if believed is not None and at is not None:
+        towards, d = -believed.away(poses, at), believed.precision.shape[1]
+        for (normal, pull), precision, away in zip(found, believed.precision[at], towards, strict=True):
+            normal[:d, :d] += precision
+            pull[:d] += precision @ away
+    return found
 
 
 def _system(hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32]) -> tuple[Array, Array]:

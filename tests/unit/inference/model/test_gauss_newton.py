@@ -12,7 +12,6 @@ from service.inference.model.likelihood import ROUNDS, Scene
 from service.inference.model.spread import spread
 from service.inference.numerics.gauss_newton import (
     Hill,
-    PosePrior,
     Refined,
     _look,
     _moved,
@@ -22,6 +21,7 @@ from service.inference.numerics.gauss_newton import (
     ascend,
     within,
 )
+from service.inference.numerics.priors import PosePrior
 from service.inference.pose import local, retract
 from service.inference.state import Poses
 
@@ -124,7 +124,7 @@ def test_a_climb_never_ends_lower_and_no_steps_stay():
     before = climbed(on, start, steps=0)
     assert local(start, before.pose) == pytest.approx(0.0, abs=1e-9)
     assert climbed(on, start, steps=1).log_posterior > before.log_posterior
-    assert np.isnan(ascend(on, start, SUN[None].copy(), steps=0, covariance=False)[0].covariance).all()
+    assert np.isnan(ascend(on, start, SUN[None].copy(), steps=0, covariance="none")[0].covariance).all()
 
 
 @pytest.mark.parametrize("off", [-9.0, 6.0])

@@ -1,0 +1,39 @@
+"""What is known of poses beside a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.estimate import tangent
+from service.inference.state import Array, Poses
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """What is known of a pose beside the frame."""
+
+    log_scale: float | None = None
+    log_scale_sigma: float = 0.03
+    towards_sun: Array | None = None  # (3,) unit
+    sun_sigma: float = 0.0175  # rad
+
+
+@dataclass(frozen=True)
+class Believed:
+    """What earlier frames say of each of N poses: Gaussians in the tangent space of their means."""
+
+    means: Poses
+    precision: Array  # (N, 6 + J, 6 + J)
+    wrapping: NDArray[np.bool_]  # (J,) joints that turn all the way round
+
+    def away(self, poses: Poses, at: NDArray[np.intp]) -> Array:
+        """(n, 6 + J) from the means to the poses that are numbered ``at``; turning joints the short way round."""
+        return tangent(self.means[at], poses, self.wrapping)
+
+    def log_density(self, poses: Poses, at: NDArray[np.intp]) -> Array:
+        """(n,) of them, but for the Gaussians' heights."""
+        away = self.away(poses, at)
+        return np.asarray(-0.5 * np.einsum("ni,nij,nj->n", away, self.precision[at], away))
