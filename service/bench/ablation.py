@@ -21,6 +21,9 @@ class Variant:
     twins: bool = True
 
 
+BY_OUTLINE: Mapping[str, Mapping[str, Any]] = {"filter": {"method": "importance"}}
+"""What is ablated: the filter of frames whose Sun is not known."""
+
 VARIANTS = (
     Variant("default", "nothing switched off"),
     Variant("psf", "point spread fixed at 0.3 px instead of estimated", {"camera": {"psf_sigma_px": 0.3}}),
@@ -55,7 +58,7 @@ VARIANTS = (
     Variant("adaptive", "1,000 particles in every frame", {"filter": {"adaptive": "off"}}),
     Variant("kld", "while tracking, as many particles as KLD-sampling asks for", {"filter": {"adaptive": "kld"}}),
     Variant("resampler", "multinomial instead of systematic", {"filter": {"resampler": "multinomial"}}),
-    Variant("paper", "the published method", {"filter": {"preset": "paper"}}),
+    Variant("paper", "the published method", {"filter": {"preset": "paper", "method": "bootstrap"}}),
 )
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from service.bench.cases import Case, TruthFrame
 from service.bench.likelihood_basins import (
-    CHI2_50,
-    CHI2_90,
     NEAR_DEG,
+    REGION_50,
+    REGION_90,
     Likeness,
     margin,
     squared_deviation,
@@ -34,7 +34,8 @@ from service.inference.model.likelihood import terms_of
 from service.inference.model.search import Found, make_bank, search
 from service.inference.model.stages import Body, Sight
 from service.inference.model.templates import Bank
-from service.inference.numerics.gauss_newton import Hill, PosePrior, Refined, ascend
+from service.inference.numerics.gauss_newton import Hill, Refined, ascend
+from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, concatenate, retract
 from service.inference.state import Array, Poses
 from service.sessions.config import effective
@@ -205,8 +206,8 @@ def _look(shared: _Pass, k: int, data: bytes, truth_frame: TruthFrame) -> Looked
         found_err_deg=None if best is None else float(errors[0]),
         found_twin_ok=None if best is None else likeness.right_twin(best),
         refined_err_deg=float(np.rad2deg(angle_between(back.pose.quaternion, pose.quaternion))[0]),
-        in50=deviation < CHI2_50,
-        in90=deviation < CHI2_90,
+        in50=deviation < REGION_50,
+        in90=deviation < REGION_90,
         bank_ms=shared.bank_ms,
         search_ms=search_ms,
         evidence_ms=_evidence_ms(found.hill, truth),

@@ -10,14 +10,16 @@ import numpy as np
 from service.bench.cases import Case
 from service.bench.scoring import ambiguity
 from service.inference.articulation import Articulation
+from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
+from service.inference.numerics.student import squared_radius
 from service.inference.pose import angle_between, concatenate, local
 from service.inference.state import Array, Poses
 from service.inference.symmetry import Symmetry, twin
 
 NEAR_DEG = 5.0
 """A basin this near to a pose is that pose's."""
-CHI2_50, CHI2_90 = 2.366, 6.251
-"""Of three degrees of freedom: what an error's square in units of its covariance stays below."""
+REGION_50, REGION_90 = (squared_radius(share, 3, POSE_DEGREES_OF_FREEDOM) for share in (0.5, 0.9))
+"""What a rotation error's square in units of the stated covariance stays below."""
 
 
 @dataclass(frozen=True)

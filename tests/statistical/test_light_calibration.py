@@ -12,7 +12,8 @@ from scipy import stats
 
 from service.inference.model import prior
 from service.inference.model.drawing import Quality
-from service.inference.numerics.gauss_newton import Hill, PosePrior, across, ascend
+from service.inference.numerics.gauss_newton import Hill, across, ascend
+from service.inference.numerics.priors import PosePrior
 from service.inference.pose import local, retract
 
 DRAWS = 60

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.inference.model import prior
-from service.inference.model.likelihood import terms_of
+from service.inference.model.likelihood import Images, terms_of
 from service.inference.model.spread import PointSpread
 from service.inference.numerics.gauss_newton import Hill
 from service.inference.state import Array, Poses
@@ -73,6 +73,40 @@ def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> 
         deviation = np.log(tau / prior.DISCREPANCY) / prior.DISCREPANCY_LOG_SIGMA
         values.append(float(np.max(found)) - 0.5 * deviation**2)
     return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
+
+
+def nudged(hill: Hill, planes: Images, log_evidence: float, now: Nuisance, turn: int) -> Nuisance:
+    """One of the three held against a neighbour on its grid: the air changes within a pass, and a look costs little.
+
+    ``planes`` (1, Q, S, S) of the best pose, whose evidence under ``now`` is ``log_evidence``; ``turn`` counts frames.
+    """
+    if turn % 3 == 2:
+        other = replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn))
+    elif turn % 3 == 1:
+        other = replace(now, wings=_neighbour(_WINGS, now.wings, turn))
+    else:
+        other = replace(now, core=_neighbour(_CORES, now.core, turn))
+    scene = replace(
+        hill.scene,
+        point_spread=other.point_spread(hill.view.binning),
+        discrepancy=other.discrepancy,
+        low_pass=hill.scene.smoothing,
+    )
+    terms = terms_of(scene, hill.drawing.n_groups, planes.shape[1])
+    found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence
+    return other if float(found[0]) + log_prior(other) > log_evidence + log_prior(now) else now
+
+
+def log_prior(nuisance: Nuisance) -> float:
+    """Of all three, but for a constant."""
+    deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
+    return _log_prior(nuisance.core, nuisance.wings) - 0.5 * deviation**2
+
+
+def _neighbour(grid: tuple[float, ...], now: float, turn: int) -> float:
+    """The next value of a grid, up or down by turns."""
+    k = int(np.argmin(np.abs(np.array(grid) - now))) + (1 if turn % 2 else -1)
+    return grid[min(max(k, 0), len(grid) - 1)]
 
 
 def _log_prior(core: float, wings: float) -> float:

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model import bank as banks
+from service.inference.model.drawing import Drawing
 from service.inference.model.likelihood import terms_of
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
 from service.inference.model.stages import (
+    CLEAR,
     FINEST,
     FIRST,
     MIDDLE,
@@ -24,8 +26,9 @@ from service.inference.model.stages import (
     stage_hill,
 )
 from service.inference.model.templates import Bank, directions
-from service.inference.numerics.gauss_newton import Hill, PosePrior, Refined, ascend, within
-from service.inference.pose import angle_between, concatenate, retract
+from service.inference.numerics.gauss_newton import Hill, Refined, ascend, within
+from service.inference.numerics.priors import PosePrior
+from service.inference.pose import concatenate, retract
 from service.inference.state import Array, Poses
 
 BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, three times at the most
@@ -33,6 +36,7 @@ _PER_KIND = 80  # templates of each kind that are looked at with the likelihood
 _SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
 _SAME_DEG = 2.0  # after refinement
 _SHAKEN, _SHAKEN_KEPT, _SHAKEN_RAD = 24, 2, 0.12  # poses around the best, how many climb, how far about they lie
+_BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06  # about half a step of the bank's, each axis
 _WIDER = 1.3  # so much more must a wider sight span
 _LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
 _TRIED = 60  # basins whose joints and Suns are tried anew
@@ -62,9 +66,17 @@ class Candidates:
         return Candidates(self.poses[index], self.suns[index], self.found[index])
 
 
-def search(body: Body, sight: Sight, bank: Bank, told: PosePrior, wide: Sight | None = None) -> Found:
+def search(
+    body: Body,
+    sight: Sight,
+    bank: Bank,
+    told: PosePrior,
+    wide: Sight | None = None,
+    rng: np.random.Generator | None = None,
+) -> Found:
     """All that a frame alone says of a pose.
 
+    ``rng`` moves the templates' poses by half of what lies between them: searches that err do not err alike.
     ``wide``: a sight of more, in case that the body is more than what is seen at one place. The evidence of what both
     propose, on the wider patch, says which of them the search goes on with.
     """
@@ -72,9 +84,9 @@ def search(body: Body, sight: Sight, bank: Bank, told: PosePrior, wide: Sight | 
     if told.log_scale is not None:  # a body that is known to be large may show little of its light at a place
         across = _LIT_SHARE * 2 * body.fine.radius * float(np.exp(told.log_scale))
         sight, wide = replace(sight, span=max(sight.span, across)), None
-    some = started(body, sight, bank, told, nuisance)
+    some = started(body, sight, bank, told, nuisance, rng)
     if wide is not None and wide.span > _WIDER * sight.span:
-        more = started(body, wide, bank, told, nuisance)
+        more = started(body, wide, bank, told, nuisance, rng)
         hill = stage_hill(body.middle, wide, MIDDLE, nuisance, told, speckle=False)
         few, others = (climbed(hill, scored(hill, one), MIDDLE) for one in (some, more))
         if len(others.found) and (not len(few.found) or others.found[0] > few.found[0]):
@@ -82,27 +94,53 @@ def search(body: Body, sight: Sight, bank: Bank, told: PosePrior, wide: Sight | 
     if not len(some.found):
         return Found([], stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance)
     hill = stage_hill(body.middle, sight, MIDDLE, nuisance, told, speckle=False)
-    some = climbed(hill, scored(hill, some), MIDDLE)
+    more = 1 + min(1, some.poses.joints.shape[1])
+    some = climbed(hill, scored(hill, some), replace(MIDDLE, kept=more * MIDDLE.kept))
     nuisance = best_spread(hill, some.poses[:3], some.suns[:3], nuisance)
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     return finished(body, sight, some, nuisance, told)
 
 
-def started(body: Body, sight: Sight, bank: Bank, told: PosePrior, nuisance: Nuisance) -> Candidates:
+def started(
+    body: Body,
+    sight: Sight,
+    bank: Bank,
+    told: PosePrior,
+    nuisance: Nuisance,
+    rng: np.random.Generator | None = None,
+) -> Candidates:
     """From templates to the basins of the roughest stage."""
     first = sight.cut(sight.span, MIDDLE.wanted)
     some = propose(bank, first, told)
     if not len(some.found):
         return some
+    if rng is not None:
+        some = jittered(rng, some, body.rough)
     hill = stage_hill(body.rough, sight, ROUGH, nuisance, told, speckle=False)
     some = best_of(scored(hill, some), len(some.found), _SHARED_DEG)
-    some = climbed(hill, varied(hill, some), FIRST)
-    return climbed(hill, varied(hill, some), ROUGH)
+    more = 1 + min(2, some.poses.joints.shape[1])  # joints ask for as many again
+    some = climbed(hill, varied(hill, some), replace(FIRST, kept=more * FIRST.kept))
+    return climbed(hill, varied(hill, some), replace(ROUGH, kept=more * ROUGH.kept))
+
+
+def jittered(rng: np.random.Generator, some: Candidates, drawing: Drawing) -> Candidates:
+    """Each pose somewhere between its neighbours."""
+    steps = np.zeros((len(some.found), 6 + some.poses.joints.shape[1]))
+    steps[:, :3] = _BETWEEN_RAD * rng.standard_normal((len(steps), 3))
+    steps[:, 5] = _BETWEEN_SCALES * rng.standard_normal(len(steps))
+    spans = np.array([joint.maximum - joint.minimum for joint in drawing.articulation.joints])
+    steps[:, 6:] = _BETWEEN_JOINTS * spans * rng.standard_normal((len(steps), len(spans)))
+    moved = retract(some.poses, steps)
+    return replace(some, poses=replace(moved, joints=within(drawing, moved.joints)))
 
 
 def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior) -> Found:
     """The best basins at the finest stage: point spread and discrepancy found at the best of them, then held."""
+    hill = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
+    some = scored(hill, some)
+    nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
+    some = climbed(stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True), some, CLEAR)
     hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
     some = scored(hill, some)
     nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
@@ -177,7 +215,7 @@ def scored(hill: Hill, some: Candidates) -> Candidates:
 def climbed(hill: Hill, some: Candidates, stage: Stage) -> Candidates:
     """The best basins after a few steps of Gauss-Newton, best first."""
     some = best_of(some, stage.kept, _SHARED_DEG)
-    out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance=False)
+    out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance="none")
     moved = Candidates(
         concatenate(*[one.pose for one in out]),
         np.stack([one.sun for one in out]),
@@ -223,11 +261,14 @@ def best_of(some: Candidates, kept: int, degrees: float) -> Candidates:
 
 def distinct(poses: Poses, apart: float) -> NDArray[np.intp]:
     """Indices of those that are no nearer than ``apart`` (rad) to one before them."""
-    kept: list[int] = []
-    for k in range(len(poses)):
-        if not kept or angle_between(poses.quaternion[kept], poses.quaternion[k]).min() > apart:
-            kept.append(k)
-    return np.array(kept, dtype=np.intp)
+    kept = np.empty(len(poses), dtype=np.intp)
+    held, count = np.empty((len(poses), 4)), 0
+    near = np.cos(0.5 * apart)  # of the angle between two quaternions that far apart
+    for k, quaternion in enumerate(poses.quaternion):
+        if not count or np.abs(held[:count] @ quaternion).max() < near:
+            kept[count], held[count] = k, quaternion
+            count += 1
+    return kept[:count]
 
 
 def log_prior(poses: Poses, told: PosePrior) -> Array:

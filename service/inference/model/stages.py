@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from service.inference.model.drawing import FINE, Drawing, Quality, View
 from service.inference.model.likelihood import Scene
 from service.inference.model.nuisance import Nuisance
-from service.inference.numerics.gauss_newton import Hill, PosePrior, Trust
+from service.inference.numerics.gauss_newton import Hill, Trust
+from service.inference.numerics.priors import PosePrior
 
 
 class PatchLike(Protocol):
@@ -89,6 +90,7 @@ FIRST = Stage(18, 1.5, 150, 1, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0
 ROUGH = Stage(18, 1.5, 56, 2, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
 MIDDLE = Stage(28, 1.0, 24, 2, 0.7, Quality(2, 128), Trust())
 SHARP = Stage(44, 0.8, 10, 2, 0.6, Quality(3, 192), Trust())
+CLEAR = Stage(64, 1.2, 8, 6, 0.7, Quality(4, 256), Trust())  # the whole body, with speckle, still smooth
 FINEST = Stage(96, 0.7, 5, 6, 0.5, FINE, Trust())
 COARSE_ROUNDS = 4  # of reweighting
 

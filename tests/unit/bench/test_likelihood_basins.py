@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from service.bench.likelihood_basins import CHI2_50, CHI2_90, Likeness, margin, squared_deviation, twin_margin
+from service.bench.likelihood_basins import REGION_50, REGION_90, Likeness, margin, squared_deviation, twin_margin
 from service.inference.articulation import hold
+from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
+from service.inference.numerics.student import draw
 from service.inference.pose import concatenate, from_matrices, multiply, retract, rotation_matrices
 from service.inference.state import Poses
 
@@ -67,6 +69,6 @@ def test_the_deviation_is_measured_along_the_bodys_axes(truth, likeness_of):
 
 
 def test_the_regions_hold_half_and_nine_tenths():
-    drawn = np.sum(np.random.default_rng(0).normal(size=(200_000, 3)) ** 2, axis=1)
-    assert np.mean(drawn < CHI2_50) == pytest.approx(0.5, abs=0.005)
-    assert np.mean(drawn < CHI2_90) == pytest.approx(0.9, abs=0.005)
+    drawn = np.sum(draw(np.random.default_rng(0), np.eye(3), POSE_DEGREES_OF_FREEDOM, 200_000) ** 2, axis=1)
+    assert np.mean(drawn < REGION_50) == pytest.approx(0.5, abs=0.005)
+    assert np.mean(drawn < REGION_90) == pytest.approx(0.9, abs=0.005)

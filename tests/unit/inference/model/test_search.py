@@ -28,7 +28,8 @@ from service.inference.model.search import (
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import FINEST, ROUGH, Body, Sight, stage_hill
 from service.inference.model.templates import Bank
-from service.inference.numerics.gauss_newton import Hill, PosePrior, ascend
+from service.inference.numerics.gauss_newton import Hill, ascend
+from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, exp_so3
 from service.inference.state import Poses
 
