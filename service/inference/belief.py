@@ -9,9 +9,10 @@ import numpy as np
 
 from service.inference.domain import Domain
 from service.inference.estimate import mean_pose, tangent
+from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
 from service.inference.modes import LEAST_MODE, MOST_MODES, cluster, distance, metric_of
 from service.inference.pose import concatenate
-from service.inference.state import Array, FilterState, Poses, Rates
+from service.inference.state import Array, FilterState, Mixture, Poses, Rates
 from service.inference.symmetry import Symmetry, refold
 from service.inference.update import MOST_SURPRISE
 
@@ -26,6 +27,7 @@ class Belief:
     poses: Poses  # (K) means
     rates: Array  # (K, d) means
     covariance: Array  # (K, 2d, 2d) of (pose in the tangent space of its mean, rates)
+    each: bool = False  # whether symmetry-equivalents are modes of their own
 
     def __len__(self) -> int:
         return len(self.log_weights)
@@ -73,6 +75,18 @@ def belief_of(state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> 
         rates=np.array(rate_means),
         covariance=np.array(covariances),
     )
+
+
+def belief_of_mixture(state: FilterState, mixture: Mixture) -> Belief:
+    """The modes of a filter that keeps modes."""
+    covariance = np.stack([covariance_of(mixture, k) for k in range(len(mixture.poses))])
+    return Belief(state.time_s, 1.0, mixture.log_weights, mixture.poses, mixture.rates, covariance, each=True)
+
+
+def covariance_of(mixture: Mixture, k: int) -> Array:
+    """(2d, 2d) covariance of a mode's pose and rates: a Student t's is wider than its scale."""
+    degrees = POSE_DEGREES_OF_FREEDOM
+    return np.asarray(degrees / (degrees - 2) * mixture.covariance[k])
 
 
 def rates_near(belief: Belief, pose: Poses, domain: Domain) -> Rates:

@@ -30,10 +30,12 @@ class FilterParams:
 
     preset: Literal["balanced", "paper"] = "balanced"
     """Where every other default comes from. `paper` is the published method, nothing else."""
-    method: Literal["importance", "tempered", "bootstrap"] = "importance"
+    method: Literal["auto", "mixture", "importance", "tempered", "bootstrap"] = "auto"
     """`bootstrap`: resample, jitter, weigh, once a frame (the paper). `tempered`: approach the frame's likelihood in
     steps, resample and move the particles after each. `importance`: adapt a proposal to each mode, tempered likewise,
-    and draw the particles from it with their exact weights."""
+    and draw the particles from it with their exact weights. `mixture`: modes that explain the light itself, with the
+    Sun where it is known (docs/model.md). `auto`: `mixture` from the first frame on whose Sun is known and where OpenCL
+    has a device; until then, and in a session that compares models, `importance`."""
     particles: int = 1000
     """Particles carried from frame to frame."""
     seed: int = 0

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-STATUSES = ("acquiring", "tracking", "lost", "no_target")
+STATUSES = ("acquiring", "tracking", "ambiguous", "no_fit", "lost", "no_target")
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,29 @@ class Poses:
 
 
 @dataclass(frozen=True)
+class Mixture:
+    """The posterior of ``filters.mixture``: K modes over pose and rates, and what the frames share; d = 6 + J.
+
+    A mode is a Student t about its pose (``model.prior.POSE_DEGREES_OF_FREEDOM``), its rates tangent velocities per
+    second.
+    """
+
+    poses: Poses  # (K)
+    rates: Array  # (K, d)
+    covariance: Array  # (K, 2d, 2d) scale of (pose in the tangent space, rates)
+    suns: Array  # (K, 3) towards the Sun, unit
+    log_weights: Array  # (K,) of probabilities given that the model fits
+    existence: Array  # (3,) probabilities: absent, fits, no_fit
+    point_spread: Array  # (2,) s and w, frame px
+    discrepancy: float  # tau
+    log_light: float  # of the body's whole light when it was last seen, counts
+    span_px: float  # of the patch, frame px
+    ever_tracked: bool
+    searches: int  # without a sure track, one after the other
+    since_search: int  # frames
+
+
+@dataclass(frozen=True)
 class FilterState:
     """The weighted posterior after a frame, and what the tracker remembers beside it.
 
@@ -67,6 +90,7 @@ class FilterState:
     time_s: float  # of that frame
     status: str  # one of STATUSES
     memory: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
+    mixture: Mixture | None = None  # of the method that keeps modes
 
 
 @dataclass(frozen=True)
@@ -148,6 +172,15 @@ class Rates:
 
 
 @dataclass(frozen=True)
+class Goodness:
+    """How well the best mode explains the light."""
+
+    chi2: float  # mean square of what is left over, in units of what noise and discrepancy allow
+    explained: float  # share of the light
+    covered_dark: float  # share of the silhouette that shows no light
+
+
+@dataclass(frozen=True)
 class Estimate:
     """What a frame's answer holds (Eq. 5 and the posterior's shape)."""
 
@@ -161,3 +194,6 @@ class Estimate:
     ess: float
     log_evidence: float
     rates: Rates | None = None  # of the mode that ``best`` belongs to; None: unknown
+    spread_all: Spread | None = None  # over all particles, where ``spread`` is that of the best mode
+    probabilities: Array | None = None  # (3,) of absent, fits, no_fit
+    fit: Goodness | None = None

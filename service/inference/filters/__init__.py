@@ -1,0 +1,1 @@
+"""Filters: what is believed after a frame, from what was believed before it."""

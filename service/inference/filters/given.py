@@ -1,0 +1,76 @@
+"""What a step of ``filters.mixture`` is given, and what its verbs hand on to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from service.inference.domain import Domain
+from service.inference.model.nuisance import Nuisance
+from service.inference.model.stages import Body, Sight
+from service.inference.model.templates import Bank
+from service.inference.numerics.gauss_newton import Refined
+from service.inference.numerics.priors import PosePrior
+from service.inference.params import SessionConfig
+from service.inference.state import Array, Poses
+from service.inference.symmetry import Symmetry
+
+
+class LitFrame(Protocol):
+    """A frame's light, and where it is."""
+
+    @property
+    def sight(self) -> Sight | None:
+        """What is brightest and what lies near it; None: there is no light."""
+        ...
+
+    @property
+    def wide(self) -> Sight | None:
+        """The same with all specks."""
+        ...
+
+    def around(self, centre: Array, reach_px: float, span_px: float, psf_px: float) -> Sight:
+        """The light within ``reach_px`` of a place; where there is none, a square of ``span_px``."""
+        ...
+
+
+@dataclass(frozen=True)
+class Given:
+    """All that a frame's step is given beside the state."""
+
+    frame: LitFrame
+    body: Body
+    bank: Callable[[], Bank]
+    told: PosePrior
+    config: SessionConfig
+    domain: Domain
+    twins: Sequence[Symmetry]
+    index: int
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Modes ahead of a frame."""
+
+    poses: Poses
+    rates: Array
+    covariance: Array  # (K, 2d, 2d)
+    suns: Array
+    log_weights: Array
+    existence: Array  # (3,)
+
+
+@dataclass(frozen=True)
+class Updated:
+    """Modes after a frame, not yet pruned; K of them followed, then those that were born."""
+
+    refined: list[Refined]
+    rates: Array
+    covariance: Array
+    log_weights: Array  # (K,) not normalised: with the frame's evidence
+    existence: Array  # (3,) as if the truth were among the modes
+    nuisance: Nuisance
+    log_light: float
+    is_new: bool  # whether the leader was born now

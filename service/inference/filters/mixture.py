@@ -1,0 +1,248 @@
+"""The default filter: modes that follow the light (docs/model.md, sections 5 and 6).
+
+``step`` reads predict, propose, update, weigh, prune. What it knows of an image is ``given.LitFrame``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.estimate import tangent
+from service.inference.filters.answer import drawn, estimate_of, unseen
+from service.inference.filters.given import Given, Predicted, Updated
+from service.inference.filters.status import status_of, told_existence
+from service.inference.model import existence, prior
+from service.inference.model.drawing import Quality
+from service.inference.model.dynamics import corrected, new_born, predicted
+from service.inference.model.nuisance import Nuisance, log_prior, nudged
+from service.inference.model.search import Found, search
+from service.inference.model.stages import Stage, stage_hill
+from service.inference.motion import RateFilter, rate_filter
+from service.inference.numerics.gauss_newton import Hill, Refined, Trust, ascend, within
+from service.inference.numerics.priors import Believed
+from service.inference.pose import angle_between, concatenate, retract
+from service.inference.state import Estimate, FilterState, Mixture
+
+FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as fine as a track is followed
+LEADER_STEPS, OTHERS_STEPS = 2, 1
+_MOST = 6  # modes
+_LEAST = 1e-3  # probability below which a mode is dropped
+_SAME_DEG = 2.5
+_SAME_JOINT_SIGMAS = 3.0
+_EAGER = 3  # searches of a leader, one frame after the other
+_RARER, _RAREST = 3, 100  # each search that could not better the leader makes the next so much rarer; frames
+
+
+def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> tuple[FilterState, Estimate]:
+    """The posterior after a frame."""
+    before = None if state is None else state.mixture
+    noise = rate_filter(given.config.motion, given.domain, None)
+    dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
+    ahead = None if before is None else predict(before, noise, dt_s)
+    found = propose(rng, before, given)
+    hill, nuisance = ground(before, ahead, found, given)
+    if hill is None or (ahead is None and not (found and found.basins)):
+        return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
+    light = None if before is None else before.log_light
+    updated = weigh(update(ahead, hill, given.domain.wrapping), ahead, found, hill, noise, nuisance, given, light)
+    after = prune(updated, before, found, given, hill)
+    if ahead is not None and before is not None and after.existence[existence.ABSENT] >= 0.5:
+        after = waiting(after, ahead, before)
+    return concluded(rng, after, updated, hill, given)
+
+
+def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
+    """The modes as they were expected, while there is nothing to see."""
+    return replace(
+        before,
+        poses=ahead.poses,
+        covariance=ahead.covariance,
+        log_weights=ahead.log_weights,
+        existence=after.existence,
+        searches=after.searches,
+        since_search=after.since_search,
+    )
+
+
+def predict(before: Mixture, noise: RateFilter, dt_s: float) -> Predicted:
+    """Every mode carried on by its rates."""
+    covariance = np.stack([predicted(one, noise, dt_s) for one in before.covariance])
+    poses = retract(before.poses, before.rates * dt_s)
+    weights = prior.EVIDENCE_KEPT * before.log_weights
+    weights = weights - np.logaddexp.reduce(weights)
+    return Predicted(poses, before.rates, covariance, before.suns, weights, existence.expected(before.existence, dt_s))
+
+
+def propose(rng: np.random.Generator, before: Mixture | None, given: Given) -> Found | None:
+    """What a search of the whole space finds; None where none is due."""
+    if given.frame.sight is None or not search_due(before):
+        return None
+    return search(given.body, given.frame.sight, given.bank(), given.told, given.frame.wide, rng if before else None)
+
+
+def search_due(before: Mixture | None) -> bool:
+    """As often as it is likely that the truth was missed; a track that many searches could not better has few."""
+    if before is None or before.searches < _EAGER:
+        return True
+    if before.existence[existence.ABSENT] >= 0.5:  # what comes back is within reach of its prediction, as a rule
+        return before.since_search > 0
+    return bool(before.since_search + 1 >= min(_RARER ** (before.searches - _EAGER + 1), _RAREST))
+
+
+def ground(
+    before: Mixture | None, ahead: Predicted | None, found: Found | None, given: Given
+) -> tuple[Hill | None, Nuisance]:
+    """What the modes climb on: the search's own patch where there was one, else one around the leader."""
+    if found is not None and found.basins:
+        return found.hill, found.nuisance
+    if before is None or ahead is None:
+        return None, Nuisance(prior.CORE_PX)
+    lead = int(np.argmax(ahead.log_weights))
+    nuisance = Nuisance(float(before.point_spread[0]), float(before.point_spread[1]), before.discrepancy)
+    reach = given.body.fine.radius * float(np.exp(ahead.poses.log_scale[lead]))
+    sight = given.frame.around(ahead.poses.position[lead], 1.2 * reach, before.span_px, nuisance.core)
+    return stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
+
+
+def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_]) -> list[Refined]:
+    """Each mode at its best under what was expected of it and what the frame says; the leader two steps, others one."""
+    if ahead is None:
+        return []
+    d = ahead.rates.shape[1]
+    precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
+    poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
+    lead = int(np.argmax(ahead.log_weights))
+    out: list[Refined] = [None] * len(poses)  # type: ignore[list-item]
+    others = np.array([k for k in range(len(poses)) if k != lead], dtype=np.intp)
+    for at, steps in ((np.array([lead]), LEADER_STEPS), (others, OTHERS_STEPS)):
+        if not len(at):
+            continue
+        believed = Believed(ahead.poses[at], precision[at], wrapping)
+        climbed = ascend(hill, poses[at], ahead.suns[at], steps=steps, covariance="last", believed=believed)
+        for k, one in zip(at, climbed, strict=True):
+            out[k] = one
+    return out
+
+
+def weigh(
+    refined: list[Refined],
+    ahead: Predicted | None,
+    found: Found | None,
+    hill: Hill,
+    noise: RateFilter,
+    nuisance: Nuisance,
+    given: Given,
+    before_light: float | None,
+) -> Updated:
+    """Evidence of each mode, of newborn ones beside them, and of the three hypotheses."""
+    rates, covariances, weights, flat, occams = [], [], [], [], []
+    for k, one in enumerate(refined):
+        assert ahead is not None, "modes that are followed were predicted"
+        d = ahead.rates.shape[1]
+        wide = ahead.covariance[k][:d, :d]
+        shift = tangent(ahead.poses[k : k + 1], one.pose, given.domain.wrapping)[0]
+        rate, covariance = corrected(ahead.rates[k], ahead.covariance[k], shift, one.covariance)
+        occam = 0.5 * (np.linalg.slogdet(one.covariance)[1] - np.linalg.slogdet(wide)[1])
+        occams.append(occam - 0.5 * float(shift @ np.linalg.solve(wide, shift)))
+        rates.append(rate)
+        covariances.append(covariance)
+        weights.append(ahead.log_weights[k] + prior.EVIDENCE_TRUST * (one.log_posterior + occam))
+        flat.append(_flat(one, -0.5 * float(shift @ np.linalg.solve(wide, shift))))
+    born = newborn(refined, found)
+    start = existence.expected(None, 0.0) if ahead is None else ahead.existence
+    lead = int(np.argmax(weights)) if weights else -1
+    for one in born:
+        rates.append(np.zeros(len(one.covariance)))
+        covariances.append(new_born(one.covariance, noise))
+        d = len(one.covariance)
+        occams.append(
+            0.5 * float(np.linalg.slogdet(one.covariance)[1])
+            + 0.5 * d * float(np.log(2 * np.pi))
+            - given.domain.log_volume
+        )
+        even = weights[lead] - prior.EVIDENCE_TRUST * flat[lead] + float(np.log(prior.BIRTH)) if lead >= 0 else 0.0
+        weights.append(prior.EVIDENCE_TRUST * _flat(one, 0.0) + even)
+    everybody = [*refined, *born]
+    log_weights = np.array(weights)
+    lead = int(np.argmax(log_weights))
+    best = everybody[lead]
+    planes = hill.drawing.planes(best.pose, best.sun, hill.view, hill.quality)
+    light = existence.log_light(hill, best.fit)
+    fits = best.fit.log_evidence + occams[lead] + log_prior(nuisance) + existence.log_of_change(before_light, light)
+    unlike = existence.log_unlike(hill, planes) + occams[lead]
+    logs = np.log(np.maximum(start, 1e-9)) + np.array([existence.log_absent(hill), fits, max(fits, unlike)])
+    logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(best.fit.chi2)
+    probabilities = np.exp(logs - np.logaddexp.reduce(logs))
+    nuisance = nudged(hill, planes, best.fit.log_evidence, nuisance, given.index)
+    is_new = lead >= len(refined)
+    return Updated(
+        everybody, np.array(rates), np.array(covariances), log_weights, probabilities, nuisance, light, is_new
+    )
+
+
+def newborn(refined: list[Refined], found: Found | None) -> list[Refined]:
+    """Basins of a search that no mode holds already."""
+    if found is None:
+        return []
+    return [one for one in found.basins[:_MOST] if not any(_same(one, other) for other in refined)]
+
+
+def prune(updated: Updated, before: Mixture | None, found: Found | None, given: Given, hill: Hill) -> Mixture:
+    """The heaviest modes; those that met are one."""
+    log_weights = updated.log_weights - np.logaddexp.reduce(updated.log_weights)
+    kept: list[int] = []
+    for k in np.argsort(-log_weights):
+        same = [j for j in kept if _same(updated.refined[k], updated.refined[j])]
+        if same:
+            log_weights[same[0]] = np.logaddexp(log_weights[same[0]], log_weights[k])
+        elif len(kept) < _MOST and log_weights[k] > np.log(_LEAST):
+            kept.append(int(k))
+    chosen = log_weights[kept] - np.logaddexp.reduce(log_weights[kept])
+    mixture = Mixture(
+        poses=concatenate(*[updated.refined[k].pose for k in kept]),
+        rates=updated.rates[kept],
+        covariance=updated.covariance[kept],
+        suns=np.stack([updated.refined[k].sun for k in kept]),
+        log_weights=chosen,
+        existence=updated.existence,
+        point_spread=np.array([updated.nuisance.core, updated.nuisance.wings]),
+        discrepancy=updated.nuisance.discrepancy,
+        log_light=updated.log_light,
+        span_px=hill.view.side * hill.view.binning / 1.6,
+        ever_tracked=before is not None and before.ever_tracked,
+        searches=(0 if before is None or updated.is_new else before.searches) + (found is not None),
+        since_search=0 if found is not None or before is None else before.since_search + 1,
+    )
+    status = status_of(mixture, given.twins, given.domain)
+    return replace(mixture, ever_tracked=mixture.ever_tracked or status == "tracking")
+
+
+def concluded(
+    rng: np.random.Generator, after: Mixture, updated: Updated, hill: Hill, given: Given
+) -> tuple[FilterState, Estimate]:
+    """The state and the answer."""
+    poses, rates = drawn(rng, after, given.config.filter.particles, given.domain)
+    status = status_of(after, given.twins, given.domain)
+    best = updated.refined[int(np.argmax(updated.log_weights))]
+    fit = existence.goodness(hill, best.fit)
+    estimate = estimate_of(rng, after, poses, status, given.domain, told_existence(after), best.fit.log_evidence, fit)
+    count = len(poses)
+    even = np.full(count, -np.log(count))
+    return FilterState(poses, even, rates, given.index, given.time_s, status, {}, after), estimate
+
+
+def _flat(one: Refined, believed: float) -> float:
+    """Log evidence of a mode when nothing was expected of its pose."""
+    return one.log_posterior - believed + 0.5 * float(np.linalg.slogdet(one.covariance)[1])
+
+
+def _same(one: Refined, other: Refined) -> bool:
+    """Whether two modes are one."""
+    if float(np.rad2deg(angle_between(one.pose.quaternion, other.pose.quaternion)[0])) > _SAME_DEG:
+        return False
+    apart = (one.pose.joints - other.pose.joints)[0]
+    wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
+    return bool(np.all(np.abs(apart) <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))

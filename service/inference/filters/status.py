@@ -1,0 +1,46 @@
+"""What a mixture says of itself: probabilities as they are told, and the status that is read off them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from service.inference.domain import Domain
+from service.inference.model import existence
+from service.inference.pose import angle_between
+from service.inference.state import Array, Mixture
+from service.inference.symmetry import Symmetry, twin
+
+SURE = 0.9  # probability from which on an answer is told as one (the contract's)
+_EQUIVALENT_DEG = 5.0
+
+
+def told_existence(mixture: Mixture) -> Array:
+    """(3,) probabilities: what no search may have met is nothing that the modes explain."""
+    absent, fits, no_fit = mixture.existence
+    lost = fits * existence.missed(mixture.searches)
+    return np.array([absent, fits - lost, no_fit + lost])
+
+
+def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> str:
+    """One of ``state.STATUSES``, read off the probabilities."""
+    absent, fits, _ = told_existence(mixture)
+    if absent >= SURE:
+        return "no_target"
+    if fits < 0.5:
+        return "lost" if mixture.ever_tracked else "no_fit"
+    if fits >= SURE and leading_share(mixture, twins, domain) >= SURE:
+        return "tracking"
+    return "ambiguous" if mixture.ever_tracked else "acquiring"
+
+
+def leading_share(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> float:
+    """Probability of the heaviest mode and of its symmetry-equivalents."""
+    lead = int(np.argmax(mixture.log_weights))
+    best = mixture.poses[lead : lead + 1]
+    same = [best, *(domain.wrap(twin(best, one)) for one in twins if one.kind == "rotation")]
+    quaternion = np.concatenate([one.quaternion for one in same])
+    near = np.rad2deg(angle_between(mixture.poses.quaternion[:, None], quaternion[None]).min(axis=1)) < _EQUIVALENT_DEG
+    near[lead] = True
+    return float(np.exp(mixture.log_weights[near]).sum())

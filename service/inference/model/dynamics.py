@@ -1,0 +1,47 @@
+"""Motion of docs/model.md, section 5: constant rates with noise, in the tangent space of a pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.inference.model import prior
+from service.inference.motion import RateFilter
+from service.inference.state import Array
+
+
+def predicted(covariance: Array, noise: RateFilter, dt_s: float) -> Array:
+    """(2d, 2d) of pose and rates after ``dt_s``, from (2d, 2d).
+
+    A frame repeats part of what the ones before said, since the body's drawing is wrong in the same places: what is
+    remembered fades (a fading-memory Kalman filter), so that a spread never falls far below that of one frame.
+    """
+    d = len(covariance) // 2
+    onward = np.eye(2 * d)
+    onward[:d, d:] = dt_s * np.eye(d)
+    out = onward @ covariance @ onward.T / prior.MEMORY_KEPT
+    out[range(d), range(d)] += noise.jitter * dt_s + noise.change * dt_s**3 / 3
+    out[range(d, 2 * d), range(d, 2 * d)] += noise.change * dt_s
+    out[range(d), range(d, 2 * d)] += noise.change * dt_s**2 / 2
+    out[range(d, 2 * d), range(d)] += noise.change * dt_s**2 / 2
+    return np.asarray(0.5 * (out + out.T))
+
+
+def corrected(rates: Array, before: Array, shift: Array, pose_covariance: Array) -> tuple[Array, Array]:
+    """Rates (d,) and (2d, 2d) after the pose moved by ``shift`` (d,) from its prediction, to this covariance (d, d)."""
+    d = len(rates)
+    gain = np.linalg.solve(before[:d, :d], before[:d, d:]).T
+    out = np.empty_like(before)
+    out[:d, :d] = pose_covariance
+    out[d:, :d] = gain @ pose_covariance
+    out[:d, d:] = out[d:, :d].T
+    out[d:, d:] = before[d:, d:] - gain @ before[:d, :d] @ gain.T + gain @ pose_covariance @ gain.T
+    return rates + gain @ shift, np.asarray(0.5 * (out + out.T))
+
+
+def new_born(pose_covariance: Array, noise: RateFilter) -> Array:
+    """(2d, 2d) of a mode of which one frame is known."""
+    d = len(pose_covariance)
+    out = np.zeros((2 * d, 2 * d))
+    out[:d, :d] = pose_covariance
+    out[range(d, 2 * d), range(d, 2 * d)] = noise.variance
+    return out

@@ -1,0 +1,82 @@
+"""Three hypotheses of a frame (docs/model.md, section 6): nothing there; this body; something else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import betaln
+
+from service.inference.model import prior
+from service.inference.model.likelihood import Fit, Images, Scene, terms_of
+from service.inference.numerics.gauss_newton import Hill
+from service.inference.state import Array, Goodness
+
+ABSENT, FITS, NO_FIT = range(3)
+
+
+def expected(before: Array | None, dt_s: float) -> Array:
+    """(3,) probabilities ahead of a frame, from those after the last one; None: there was none."""
+    if before is None:
+        return np.array(prior.EXISTENCE)
+    stays = np.exp(-prior.CHANGES_PER_S * dt_s)
+    return np.asarray(stays * before + (1 - stays) * np.array(prior.EXISTENCE))
+
+
+def log_absent(hill: Hill) -> float:
+    """Log evidence of the sky alone."""
+    side, groups = hill.view.side, hill.drawing.n_groups
+    nothing = np.zeros((1, groups + 1, side, side), np.float32)
+    terms = terms_of(hill.scene, groups, groups + 1)
+    return float(hill.drawing.light.evidence(nothing, groups, terms, hill.rounds).log_evidence[0])
+
+
+def log_unlike(hill: Hill, planes: Images) -> float:
+    """Log evidence of light that lies about where a pose has it, and is wrong everywhere: as of another body.
+
+    ``planes`` (1, Q, S, S) of the best mode; other light is left out, so it is a least.
+    """
+    return evidence_at(hill, replace(hill.scene, discrepancy=prior.UNLIKE), planes)
+
+
+def evidence_at(hill: Hill, scene: Scene, planes: Images) -> float:
+    """Log evidence of one drawn pose under other terms than the hill's."""
+    terms = terms_of(scene, hill.drawing.n_groups, planes.shape[1])
+    return float(hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence[0])
+
+
+def log_light(hill: Hill, fit: Fit) -> float:
+    """Log of a body's whole light, counts of frame pixels."""
+    return float(np.log(max(float(np.sum(fit.light)), hill.scene.sigma))) + 2 * float(np.log(hill.view.binning))
+
+
+def log_of_change(before: float | None, now: float) -> float:
+    """Log density, but for its height, of a body's light after what it was: it seldom goes out."""
+    return 0.0 if before is None else -0.5 * ((now - before) / prior.FADES) ** 2
+
+
+def log_chi2_densities(chi2: float) -> Array:
+    """(2,) log densities of the mean square that is left over: where the body fits, and where it is another."""
+    at = float(np.log(max(chi2, 1e-3)))
+    laws = np.array([prior.LOG_CHI2, prior.LOG_CHI2_UNLIKE])
+    away = (at - laws[:, 0]) / laws[:, 1]
+    away = np.array([max(away[0], 0.0), min(away[1], 0.0)])  # better is no less this body's, worse no less another's
+    return np.asarray(-0.5 * away**2 - np.log(laws[:, 1]))
+
+
+def missed(searches: int) -> float:
+    """Probability that the truth was met by none of so many searches that found nothing better."""
+    a, b = prior.SEARCH_FINDS
+    return float(np.exp(betaln(a, b + searches) - betaln(a, b)))
+
+
+def goodness(hill: Hill, fit: Fit) -> Goodness:
+    """What an answer says of its best mode's light."""
+    scene = hill.scene
+    noise = scene.sigma / np.sqrt(scene.area)
+    seen = np.abs(scene.data) > 2 * noise
+    light = float(np.sum(np.abs(scene.data[seen])))
+    left = float(np.sum(np.abs(fit.residual[seen])))
+    body = fit.light > noise
+    dark = float(np.mean(~seen[body])) if body.any() else 0.0
+    return Goodness(fit.chi2, float(np.clip(1 - left / light, 0.0, 1.0)) if light > 0 else 0.0, dark)

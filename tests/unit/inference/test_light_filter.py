@@ -1,0 +1,204 @@
+"""The filter of docs/model.md on frames that its own model draws: followed, lost, empty, and again from its state."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lit_body import QUALITY, SUN, lit_body, shares
+
+from service.imaging.patch import Light
+from service.inference.domain import Domain
+from service.inference.filters.answer import drawn
+from service.inference.filters.given import Given
+from service.inference.filters.mixture import search_due, step
+from service.inference.filters.status import SURE, status_of, told_existence
+from service.inference.model import search as searching
+from service.inference.model.drawing import View
+from service.inference.model.search import make_bank
+from service.inference.model.spread import PointSpread, spread
+from service.inference.model.stages import Body
+from service.inference.numerics.priors import PosePrior
+from service.inference.pose import angle_between, retract
+from service.inference.state import FilterState, Mixture, Poses
+from service.sessions.config import effective
+from service.workers.codec import decode, encode
+from service.workers.lit_frame import LightOfFrame
+
+SIZE, SIGMA, DT_S = 144, 4.0, 0.1
+TOLD = PosePrior(towards_sun=SUN)
+RATE = np.array([[0.12, -0.2, 0.1, 5.0, -3.0, 0.0]])  # rad and px per s
+
+
+class Drawn(LightOfFrame):
+    """A frame whose sky is known to be even."""
+
+    def __init__(self, image: np.ndarray) -> None:
+        self._light = Light(image.astype(np.float32), SIGMA, 1e-3, 1.0, np.zeros(image.shape, bool))
+        self._psf_px = 1.3
+
+
+@functools.cache
+def body() -> Body:
+    drawing = lit_body()
+    drawing = replace(drawing, articulation=replace(drawing.articulation, joints=()))
+    return Body(drawing, drawing, drawing)
+
+
+@functools.cache
+def bank():
+    searching.BANK_SIZE, held = 1500, searching.BANK_SIZE
+    try:
+        return make_bank(body(), TOLD)
+    finally:
+        searching.BANK_SIZE = held
+
+
+def truth(k: int) -> Poses:
+    start = Poses(
+        np.array([[0.6, -0.4, 0.5, 0.48]]) / np.linalg.norm([0.6, -0.4, 0.5, 0.48]),
+        np.array([[70.0, 75.0]]),
+        np.log([26.0 / lit_body().radius]),
+        np.zeros((1, 0)),
+    )
+    return retract(start, RATE * DT_S * k)
+
+
+def frame(k: int, gain: float = 700.0) -> Drawn:
+    drawing = body().fine
+    picture = drawing.combined(truth(k), SUN, shares(drawing, gain), View((0.0, 0.0), 1.0, SIZE), QUALITY)
+    noise = np.random.default_rng(k).normal(0, SIGMA, (SIZE, SIZE))
+    return Drawn(spread(picture, PointSpread(1.3), 0.0)[0] + noise)
+
+
+def given(light: Drawn, k: int) -> Given:
+    config = effective({})
+    domain = Domain(SIZE, SIZE, body().fine.radius, body().fine.articulation, config.prior)
+    return Given(light, body(), bank, TOLD, config, domain, (), k, DT_S * k)
+
+
+def advance(state: FilterState | None, light: Drawn, k: int):
+    return step(np.random.default_rng([7, k]), state, given(light, k))
+
+
+@functools.cache
+def passed():
+    """States and answers: three frames, three empty ones, two with the body again."""
+    state, told = None, []
+    for k in range(8):
+        state, estimate = advance(state, frame(k, 0.0 if 3 <= k < 6 else 700.0), k)
+        told.append((state, estimate))
+    return told
+
+
+def error_deg(estimate, k: int) -> float:
+    return float(np.rad2deg(angle_between(estimate.best.quaternion, truth(k).quaternion[0])))
+
+
+def test_a_body_is_found_followed_and_its_rates_are_known():
+    told = passed()
+    assert [error_deg(told[k][1], k) < 3.0 for k in range(3)] == [True] * 3
+    assert [estimate.status for _, estimate in told[:3]] == ["acquiring", "tracking", "tracking"]
+    found = told[2][0].mixture
+    deviation = np.sqrt(np.diag(found.covariance[0])[6:9])
+    assert np.abs(found.rates[0, :3] - RATE[0, :3]).max() < 4 * deviation.max()
+    for _, estimate in told[:3]:
+        assert estimate.probabilities.sum() == pytest.approx(1.0)
+        assert estimate.fit.explained > 0.8 and estimate.fit.covered_dark < 0.5
+        assert sum(mode.weight for mode in estimate.modes) == pytest.approx(1.0)
+
+
+def test_an_empty_frame_shows_no_target_and_the_body_is_found_again():
+    told = passed()
+    assert [estimate.status for _, estimate in told[3:6]] == ["no_target"] * 3
+    assert all(estimate.probabilities[0] > 0.9 for _, estimate in told[3:6])
+    assert told[7][1].status == "tracking" and error_deg(told[7][1], 7) < 3.0
+    wide = [estimate.spread.orientation_deg for _, estimate in told]
+    assert wide[5] > wide[3] > wide[2]
+
+
+def test_a_state_that_was_stored_goes_on_as_if_it_had_not_been():
+    state = passed()[1][0]
+    again = advance(decode(FilterState, encode(state)), frame(2), 2)[0]
+    held = passed()[2][0]
+    assert np.array_equal(again.poses.quaternion, held.poses.quaternion)
+    assert np.array_equal(again.mixture.covariance, held.mixture.covariance)
+    assert again.mixture.existence.tolist() == held.mixture.existence.tolist()
+
+
+def test_an_empty_sky_from_the_start_is_no_target():
+    state, estimate = advance(None, Drawn(np.random.default_rng(0).normal(0, SIGMA, (SIZE, SIZE))), 0)
+    assert estimate.status == "no_target" and state.mixture is None
+    assert advance(state, frame(1), 1)[1].status == "acquiring"
+
+
+def test_another_body_does_not_fit():
+    """Bright all over, where the model can only be bright where the Sun is."""
+    at = np.arange(SIZE)
+    blob = (
+        700.0
+        * ((np.abs(at - 70)[:, None] < 9) ^ (np.abs(at - 75)[None] < 22))
+        * ((np.abs(at - 70)[:, None] < 24) & (np.abs(at - 75)[None] < 40))
+    )
+    checks = blob * (1 + np.sign(np.sin(at / 3.0)[:, None] * np.sin(at / 4.0)[None])) / 2
+    state, statuses = None, []
+    for k in range(4):
+        noise = np.random.default_rng(k).normal(0, SIGMA, (SIZE, SIZE))
+        state, estimate = advance(
+            state, Drawn(spread(checks[None].astype(np.float32), PointSpread(1.3), 0.0)[0] + noise), k
+        )
+        statuses.append(estimate.status)
+    assert statuses[-1] in ("no_fit", "ambiguous", "acquiring")
+
+
+def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False) -> Mixture:
+    n = len(weights)
+    turn = np.zeros((n, 6))
+    turn[:, 0] = np.arange(n)
+    poses = retract(truth(0)[np.zeros(n, dtype=int)], turn)
+    return Mixture(
+        poses,
+        np.zeros((n, 6)),
+        np.tile(1e-4 * np.eye(12), (n, 1, 1)),
+        np.tile(SUN, (n, 1)),
+        np.log(np.array(weights)),
+        np.array(existence),
+        np.array([1.2, 0.0]),
+        0.04,
+        8.0,
+        40.0,
+        ever,
+        searches,
+        0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("held", "status"),
+    [
+        (mixture(), "tracking"),
+        (mixture(searches=1), "acquiring"),
+        (mixture((0.6, 0.4)), "acquiring"),
+        (mixture((0.6, 0.4), ever=True), "ambiguous"),
+        (mixture(existence=(0.0, 0.2, 0.8)), "no_fit"),
+        (mixture(existence=(0.0, 0.2, 0.8), ever=True), "lost"),
+        (mixture(existence=(0.95, 0.05, 0.0)), "no_target"),
+    ],
+)
+def test_status_is_read_off_the_probabilities(held, status):
+    assert status_of(held, (), given(frame(0), 0).domain) == status
+    assert told_existence(held).sum() == pytest.approx(1.0)
+
+
+def test_a_track_that_no_search_could_better_is_searched_ever_more_seldom():
+    due = [search_due(replace(mixture(searches=n), since_search=k)) for n in (1, 3, 4, 5) for k in (0, 1, 2, 8)]
+    assert due == [True] * 4 + [False, False, True, True] + [False, False, False, True] + [False] * 4
+
+
+def test_particles_have_their_modes_shares():
+    poses, rates = drawn(np.random.default_rng(0), mixture((0.7, 0.3)), 1000, given(frame(0), 0).domain)
+    near = np.rad2deg(angle_between(poses.quaternion, truth(0).quaternion[0])) < 20
+    assert len(poses) == len(rates) == 1000 and abs(int(near.sum()) - 700) <= 2
+    assert SURE == 0.9

@@ -1,0 +1,91 @@
+"""Modes between frames against the textbook Kalman filter, and the hypotheses of a frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import beta
+
+from service.inference.model import existence, prior
+from service.inference.model.dynamics import corrected, new_born, predicted
+from service.inference.motion import RateFilter
+from service.inference.numerics.priors import Believed
+from service.inference.state import Poses
+
+D = 3
+
+
+@pytest.fixture
+def noise() -> RateFilter:
+    return RateFilter(np.array([0.5, 0.2, 0.1]), np.array([0.03, 0.02, 0.01]), np.array([0.2, 0.1, 0.3]))
+
+
+def spread(seed: int, size: int) -> np.ndarray:
+    root = np.random.default_rng(seed).normal(size=(size, size))
+    return root @ root.T + 0.1 * np.eye(size)
+
+
+def test_a_prediction_is_that_of_constant_rates_driven_by_white_noise(noise, monkeypatch):
+    monkeypatch.setattr(prior, "MEMORY_KEPT", 1.0)
+    before, dt_s = spread(1, 2 * D), 0.7
+    onward = np.block([[np.eye(D), dt_s * np.eye(D)], [np.zeros((D, D)), np.eye(D)]])
+    jitter, change = np.diag(noise.jitter * dt_s), noise.change
+    driven = np.block(
+        [
+            [np.diag(change * dt_s**3 / 3) + jitter, np.diag(change * dt_s**2 / 2)],
+            [np.diag(change * dt_s**2 / 2), np.diag(change * dt_s)],
+        ]
+    )
+    assert predicted(before, noise, dt_s) == pytest.approx(onward @ before @ onward.T + driven)
+
+
+def test_what_is_remembered_fades(noise):
+    still = RateFilter(noise.variance, np.zeros(D), np.zeros(D))
+    before = spread(2, 2 * D)
+    assert predicted(before, still, 0.0) == pytest.approx(before / prior.MEMORY_KEPT)
+
+
+def test_a_correction_is_the_kalman_filters():
+    """A measurement of the pose with covariance M: the joint Gaussian, conditioned."""
+    before, measured, seen = spread(3, 2 * D), spread(4, D), np.array([0.3, -0.2, 0.5])
+    gain = before[:, :D] @ np.linalg.inv(before[:D, :D] + measured)
+    after = before - gain @ before[:D, :]
+    rates = np.array([1.0, 2.0, 3.0])
+    found, covariance = corrected(rates, before, (gain @ seen)[:D], after[:D, :D])
+    assert found == pytest.approx(rates + (gain @ seen)[D:])
+    assert covariance == pytest.approx(after)
+
+
+def test_a_mode_is_born_with_rates_of_which_nothing_is_known(noise):
+    found = new_born(spread(5, D), noise)
+    assert np.diag(found)[D:] == pytest.approx(noise.variance)
+    assert not found[:D, D:].any()
+
+
+def test_existence_forgets():
+    seen = np.array([0.0, 1.0, 0.0])
+    assert existence.expected(seen, 0.0) == pytest.approx(seen)
+    assert existence.expected(seen, 1e4) == pytest.approx(prior.EXISTENCE)
+    assert existence.expected(None, 1.0) == pytest.approx(prior.EXISTENCE)
+    assert existence.expected(seen, 3.0).sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("searches", [0, 1, 2, 5])
+def test_the_truth_is_missed_as_often_as_the_beta_law_says(searches):
+    finds = beta(*prior.SEARCH_FINDS).rvs(400_000, random_state=searches)
+    assert existence.missed(searches) == pytest.approx(np.mean((1 - finds) ** searches), abs=3e-3)
+
+
+def test_a_joint_that_turns_all_the_way_is_expected_the_short_way_round():
+    def panel(value: float) -> Poses:
+        return Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 2)), np.zeros(1), np.array([[value]]))
+
+    first = np.zeros(1, dtype=np.intp)
+    turning, stopped = (Believed(panel(179.0), np.eye(7)[None], np.array([wraps])) for wraps in (True, False))
+    assert turning.log_density(panel(-179.0), first) == pytest.approx(-2.0)
+    assert stopped.log_density(panel(-179.0), first) == pytest.approx(-0.5 * 358**2)
+
+
+def test_what_is_left_over_tells_this_body_from_another():
+    ratios = [np.subtract(*existence.log_chi2_densities(chi2)) for chi2 in (0.0, 0.5, 2.0, 10.0, 50.0, 1e6)]
+    assert ratios == sorted(ratios, reverse=True) and ratios[1] > 1.0 and ratios[-2] < -5.0
