@@ -122,7 +122,7 @@ class Header(TypedDict):
     updated_at: Moment
     next_index: Count
     next_seq: Count
-    status: Literal["acquiring", "tracking", "lost", "no_target"] | None
+    status: Literal["acquiring", "tracking", "ambiguous", "no_fit", "lost", "no_target"] | None
     time_s: Finite | None
     time_given: Moment | None
     background_key: Digest | None

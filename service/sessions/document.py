@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from service.inference.articulation import Articulation, hold
 from service.inference.params import SessionConfig
 from service.inference.pose import yaw_pitch_roll_deg
 from service.inference.smoothed import SmoothedEstimate
-from service.inference.state import Mode, PoseEstimate, Rates, Spread
+from service.inference.state import Estimate, Mode, PoseEstimate, Rates, Spread
 from service.sessions.absolute import View, attitude_document, camera_document
 from service.sessions.lighting import UNKNOWN, Lit
 from service.workers.base import PackedFrameReport
@@ -76,12 +76,25 @@ def estimate_document(
         "timing_ms": {name: round(float(value), 3) for name, value in report.timing_ms.items()},
         "scorer": report.scorer,
     }
+    data |= _existence(estimate, names)
     if models is not None:
         data["models"] = list(models)
     if orbit is not None:
         data["orbit"] = dict(orbit)
     _require_finite(data, "estimate")  # orjson would write null
     return orjson.dumps(data)
+
+
+def _existence(estimate: Estimate, names: JointNames) -> dict[str, Any]:
+    """What only a filter says that weighs hypotheses."""
+    found: dict[str, Any] = {}
+    if estimate.probabilities is not None:
+        found["probabilities"] = _named(("absent", "fits", "no_fit"), estimate.probabilities.tolist())
+    if estimate.fit is not None:
+        found["fit"] = asdict(estimate.fit)
+    if estimate.spread_all is not None:
+        found["spread_all"] = _full_spread(estimate.spread_all, names)
+    return found
 
 
 def as_duplicate(document: bytes) -> bytes:

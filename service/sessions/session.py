@@ -173,6 +173,7 @@ class Session:
             size=self._frame_size,
             scale_px=scale_bounds(self._config.prior, known.ranged),
             light=known.lit.light,
+            compared=len(self._contenders) > 1,
         )
         return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob, guide)
 

@@ -92,6 +92,7 @@ class FrameJob:
     size: tuple[int, int] | None = None  # width and height that the frame must have; None: what fits the background
     scale_px: tuple[float, float] | None = None  # bounds known for this frame, px of the whole frame per model unit
     light: Light | None = None  # what is known of it before the frame is looked at
+    compared: bool = False  # whether the session holds several models against each other
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ def in_full_frame(estimate: Estimate, camera: CameraParams) -> Estimate:
         best=_pose(estimate.best, camera),
         spread=_spread(estimate.spread, camera),
         modes=tuple(_mode(mode, camera) for mode in estimate.modes),
+        spread_all=None if estimate.spread_all is None else _spread(estimate.spread_all, camera),
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.inference.articulation import hold
-from service.inference.belief import Belief, belief_of, rates_near
+from service.inference.belief import Belief, belief_of, belief_of_mixture, rates_near
 from service.inference.domain import Domain
 from service.inference.motion import rate_filter
 from service.inference.rotation_rate import rotation_rate
@@ -29,9 +29,10 @@ def smooth_pass(job: SmoothJob) -> SmoothReport:
     articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
     camera = job.config.camera
     domain = Domain(*camera_window(camera, job.width, job.height).size, _ANY_RADIUS, articulation, job.config.prior)
-    told = held_symmetries(job.twins, job.articulation, articulation)
-    space = Space(rate_filter(job.config.motion, domain, None), domain, told)
     filtered = [None if packed is None else decode(Belief, packed) for packed in job.beliefs]
+    each = any(belief is not None and belief.each for belief in filtered)
+    told = held_symmetries(() if each else job.twins, job.articulation, articulation)
+    space = Space(rate_filter(job.config.motion, domain, None), domain, told)
     with_rates = job.config.motion.kind == "constant_velocity"
     found = smooth(filtered, space)[: job.count]
     told_of = (None if b is None else summarise_belief(b, told, domain, with_rates) for b in found)
@@ -40,6 +41,8 @@ def smooth_pass(job: SmoothJob) -> SmoothReport:
 
 def belief_after(job: FrameJob, state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> Belief | None:
     """The posterior after a frame as modes; the paper's filter knows of no ``twins``."""
+    if state.mixture is not None:
+        return belief_of_mixture(state, state.mixture)
     return belief_of(state, () if job.config.filter.method == "bootstrap" else twins, domain)
 
 

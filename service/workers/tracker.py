@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.errors import DeviceError
 from gpu.kernel_cache import KernelCache
 from gpu.mesh import Mesh, MeshError, assemble
 from gpu.reference import silhouette_mask
-from service.errors import ConfigError, ImageMismatchError, MeshFileError, MissingBlobError
+from service.errors import ConfigError, MeshFileError, MissingBlobError
 from service.imaging.background import Background, Sky, derive, known_pixels, learn
 from service.imaging.decode import Frame as Image
 from service.imaging.features import feature_spec
@@ -50,7 +52,9 @@ from service.workers.base import (
 )
 from service.workers.cache import Cache
 from service.workers.decoding import Decoder, InPlace
+from service.workers.following import Following, follows_light
 from service.workers.full_frame import camera_window, in_full_frame, in_window, scale_in_window
+from service.workers.image_checks import require_same, require_size
 from service.workers.machine import describe_machine
 from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
@@ -82,6 +86,7 @@ class Tracker:
         self._scorers = Scorers(cached_models, opener=opener)
         self._steps = ResidentSteps(cached_models)
         self._bodies = SunlitBodies(cached_models)
+        self._following = Following(cached_models)
         self._skies: Cache[Sky] = Cache(SKIES, weigh=sky_bytes, most_bytes=SKY_BYTES)
         self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
 
@@ -107,11 +112,11 @@ class Tracker:
         background = None if job.background is None else Background.from_bytes(job.background)
         camera, size = job.config.camera, job.size
         for whole in self._decoder.frames(job.body, job.media_type, camera.ser_byte_order):
-            size = _require_size(whole, size)
+            size = require_size(whole, size)
             window = camera_window(camera, *size)
             image = window.cut(whole)
             if background is not None:
-                _require_same(image, background.shape, background.bits)
+                require_same(image, background.shape, background.bits)
             likelihood = job.config.likelihood
             spec = feature_spec(likelihood.feature, image.channels, image.bits, likelihood.gradient_sigma_px)
             known = window.cut_mask(known_pixels(size[1], size[0], job.box, job.border_px))
@@ -130,12 +135,19 @@ class Tracker:
         """Decode a frame, measure it, and run one step of the filter."""
         began = time.perf_counter()
         whole = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
-        image = camera_window(job.config.camera, *_require_size(whole, job.size)).cut(whole)
+        image = camera_window(job.config.camera, *require_size(whole, job.size)).cut(whole)
         likelihood = job.config.likelihood
         key = f"{job.background}:{likelihood.feature}:{likelihood.gradient_sigma_px}"
         sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
-        _require_same(image, sky.mean.shape, sky.spec.bits)
+        require_same(image, sky.mean.shape, sky.spec.bits)
         decoded = time.perf_counter()
+        if follows_light(job):
+            try:
+                return self._follow(job, image, sky, began, decoded)
+            except DeviceError as error:
+                if job.config.filter.method == "mixture":
+                    raise
+                warnings.warn(f"{error}; this frame is tracked by its outline", RuntimeWarning, stacklevel=2)
         memory = job.guide if job.guide is not None else {} if job.state is None else job.state.memory
         observation = observe(image, sky, in_window(job.config), memory)
         maps = observation.maps
@@ -146,10 +158,7 @@ class Tracker:
         height, width = image.image.shape[:2]
         within = scale_in_window(job.scale_px, job.config.camera)
         domain = Domain(width, height, mesh.radius, articulation, job.config.prior, within)
-        twins = self._twins.get(
-            f"{job.model}:{articulation}:{job.twins}",
-            lambda: held_symmetries(job.twins, job.articulation, articulation),
-        )
+        twins = self._held_twins(job, articulation)
         frame = Frame(job.frame_index, job.time_s, Measurement(maps.log_ratio, maps.log_background))
         chosen = job.config.filter
         stream = np.array([chosen.seed, job.frame_index], np.uint64)
@@ -181,6 +190,30 @@ class Tracker:
             "total": done - began,
         }
         return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scored_by, belief)
+
+    def _follow(self, job: FrameJob, image: Image, sky: Sky, began: float, decoded: float) -> FrameReport:
+        """A frame of the filter that follows the light."""
+        articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
+        mesh = self._mesh(job.model, job.file_type, job.blobs)
+        state, estimate, belief = self._following.track(
+            job, image, sky, mesh, articulation, self._held_twins(job, articulation)
+        )
+        done = time.perf_counter()
+        timing = {
+            "decode": decoded - began,
+            "measure": 0.0,
+            "score": 0.0,
+            "step": done - decoded,
+            "total": done - began,
+        }
+        return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, "light", belief)
+
+    def _held_twins(self, job: FrameJob, articulation: Articulation) -> tuple[Symmetry, ...]:
+        """The model's symmetries that are left with some joints held."""
+        return self._twins.get(
+            f"{job.model}:{articulation}:{job.twins}",
+            lambda: held_symmetries(job.twins, job.articulation, articulation),
+        )
 
     def overlay(self, job: OverlayJob) -> bytes:
         """PNG of the frame with the silhouette in blue, or of the frame alone."""
@@ -214,6 +247,7 @@ class Tracker:
         self._decoder.close()
         self._steps.close()
         self._bodies.close()
+        self._following.close()
         self._scorers.close()
         self._meshes.clear()
         self._skies.clear()
@@ -260,22 +294,3 @@ def _sky(config: SessionConfig, blob: bytes) -> Sky:
 def sky_bytes(sky: Sky) -> int:
     """Memory that a sky takes."""
     return sky.mean.nbytes + sky.known.nbytes + sky.log_density.nbytes
-
-
-def _require_size(image: Image, size: tuple[int, int] | None) -> tuple[int, int]:
-    """Width and height of a whole frame, which must be ``size`` where that is known."""
-    height, width = image.image.shape[:2]
-    if size is not None and size != (width, height):
-        raise ImageMismatchError(f"the image is {width} x {height}, the background {size[0]} x {size[1]}", field="body")
-    return width, height
-
-
-def _require_same(image: Image, shape: Iterable[int], bits: int) -> None:
-    expected = (*shape, bits)
-    found = (*image.image.shape[:2], image.channels, image.bits)
-    if found != expected:
-        raise ImageMismatchError(
-            "the image is {1} x {0} with {2} channel(s) of {3} bits, ".format(*found)
-            + "the background {1} x {0} with {2} channel(s) of {3} bits".format(*expected),
-            field="body",
-        )

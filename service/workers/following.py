@@ -1,0 +1,122 @@
+"""Frames of sessions whose method is ``mixture``: bodies, banks of templates and light, kept between frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from gpu.mesh import Mesh
+from service.imaging.background import Sky
+from service.imaging.decode import Frame as Image
+from service.inference.articulation import Articulation
+from service.inference.belief import Belief
+from service.inference.domain import Domain
+from service.inference.filters.given import Given
+from service.inference.filters.mixture import step
+from service.inference.light import Light
+from service.inference.model.search import make_bank
+from service.inference.model.stages import Body
+from service.inference.model.templates import Bank
+from service.inference.numerics.priors import PosePrior
+from service.inference.params import SessionConfig
+from service.inference.state import Array, Estimate, FilterState
+from service.inference.symmetry import Symmetry
+from service.workers.base import FrameJob
+from service.workers.cache import Cache
+from service.workers.full_frame import in_full_frame, in_window, scale_in_window
+from service.workers.lit_body import LitBody
+from service.workers.lit_frame import LightOfFrame
+from service.workers.smoothing import belief_after, with_rates
+
+_BANKS, _BANK_BYTES = 8, 1 << 29  # 90 MB each, 280 of a body with two joints
+_SAME_SUN_RAD = 0.05  # templates 12 degrees apart do not feel it
+_ANY_SUN_RAD = 1.0  # what is believed of a Sun that is not told: it is searched
+
+
+class Following:
+    """Owned and used by one thread. Raises ``gpu.errors.DeviceError`` where there is no OpenCL."""
+
+    def __init__(self, size: int) -> None:
+        self._bodies: Cache[LitBody] = Cache(size, lambda body: body.close())
+        self._banks: Cache[_Kept] = Cache(_BANKS, weigh=lambda kept: kept.bank.pictures.nbytes, most_bytes=_BANK_BYTES)
+
+    def track(
+        self,
+        job: FrameJob,
+        image: Image,
+        sky: Sky,
+        mesh: Mesh,
+        articulation: Articulation,
+        twins: tuple[Symmetry, ...],
+    ) -> tuple[FilterState, Estimate, Belief | None]:
+        """The posterior after a frame, the answer in pixels of the whole frame, and what the smoother keeps."""
+        config = in_window(job.config)
+        height, width = image.image.shape[:2]
+        within = scale_in_window(job.scale_px, job.config.camera)
+        domain = Domain(width, height, mesh.radius, articulation, config.prior, within)
+        told = told_of(config, domain, job.light)
+        key = f"{job.model}:{articulation}"
+        body = self._bodies.get(key, lambda: LitBody(mesh, articulation)).body
+        frame = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px)
+        bank = partial(self._bank, key, body, told)
+        given = Given(frame, body, bank, told, config, domain, twins, job.frame_index, job.time_s)
+        stream = np.array([config.filter.seed, job.frame_index], np.uint64)
+        state, estimate = step(np.random.Generator(np.random.Philox(key=stream)), job.state, given)
+        belief = belief_after(job, state, (), domain)
+        estimate = with_rates(estimate, state, belief, job, domain, ())
+        return state, in_full_frame(estimate, job.config.camera), belief
+
+    def close(self) -> None:
+        """Give the device's memory back."""
+        self._banks.clear()
+        self._bodies.clear()
+
+    def _bank(self, key: str, body: Body, told: PosePrior) -> Bank:
+        """The templates of a body, made anew when the Sun has moved."""
+        kept = self._banks.get(key, lambda: _Kept(told.towards_sun, make_bank(body, told)))
+        if not kept.serves(told.towards_sun):
+            self._banks.forget(key)
+            kept = self._banks.get(key, lambda: _Kept(told.towards_sun, make_bank(body, told)))
+        return kept.bank
+
+
+class _Kept:
+    """A bank, and the Sun that it is of."""
+
+    def __init__(self, sun: Array | None, bank: Bank) -> None:
+        self.bank, self._sun = bank, sun
+
+    def serves(self, sun: Array | None) -> bool:
+        if sun is None or self._sun is None:
+            return sun is None and self._sun is None
+        return float(np.linalg.norm(sun - self._sun)) < _SAME_SUN_RAD
+
+
+def told_of(config: SessionConfig, domain: Domain, light: Light | None) -> PosePrior:
+    """What is known of a pose and of the Sun beside the frame, in pixels of the window."""
+    told = PosePrior(sun_sigma=_ANY_SUN_RAD)
+    if light is not None and light.towards_sun is not None:
+        x, y, z = light.towards_sun
+        sun = np.array([x, y, -z if light.mirrored else z])
+        sigma = float(np.deg2rad(config.light.sun_sigma_deg)) if light.sigma_rad is None else light.sigma_rad
+        told = replace(told, towards_sun=sun / np.linalg.norm(sun), sun_sigma=sigma)
+    scale, binning = config.prior.scale_px, config.camera.binning
+    if scale is not None:
+        return replace(told, log_scale=float(np.log(scale / binning)), log_scale_sigma=config.prior.scale_sigma)
+    if domain.scale_within is not None:  # three standard deviations either side
+        low, high = domain.log_scale_bounds
+        return replace(told, log_scale=0.5 * (low + high), log_scale_sigma=max((high - low) / 6, 1e-3))
+    return told
+
+
+def follows_light(job: FrameJob) -> bool:
+    """Whether a frame is one of ``filters.mixture``: see ``filter.method``."""
+    method = job.config.filter.method
+    if method != "auto":
+        return method == "mixture"
+    if job.compared:
+        return False
+    known = job.light is not None and job.light.towards_sun is not None
+    return known or (job.state is not None and job.state.mixture is not None)

@@ -1,0 +1,70 @@
+"""The modes of a checkpoint (``state.Mixture``), held against what the filter will take for granted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.inference.state import Array, Mixture
+
+_LARGEST = 1e9  # px, degrees, seconds, units: whatever is larger is no state of a track
+_MOST_MODES, _MOST_SPAN_PX = 64, 1e5
+_UNIT = 1e-6  # how far a length or a sum of probabilities may be from 1
+
+
+def check_mixture(mixture: Mixture, n_joints: int) -> None:
+    """Raises ``ValueError`` where these are no modes of a session with so many free joints."""
+    _check_arrays(mixture, 6 + n_joints)
+    for vectors in (mixture.poses.quaternion, mixture.suns):
+        if np.abs(np.linalg.norm(vectors, axis=1) - 1).max() > _UNIT:
+            raise ValueError("a direction of the mixture is not of length 1")
+    for shares in (np.exp(mixture.log_weights), mixture.existence):
+        if shares.min() < 0 or abs(float(shares.sum()) - 1) > _UNIT:
+            raise ValueError("the mixture's probabilities do not sum to 1")
+    if not all(_is_positive(covariance) for covariance in mixture.covariance):
+        raise ValueError("a covariance of the mixture is not positive")
+    _check_numbers(mixture)
+
+
+def _check_arrays(mixture: Mixture, d: int) -> None:
+    poses, n = mixture.poses, len(mixture.log_weights)
+    shapes = {
+        "quaternion": (poses.quaternion, (n, 4)),
+        "position": (poses.position, (n, 2)),
+        "log_scale": (poses.log_scale, (n,)),
+        "joints": (poses.joints, (n, d - 6)),
+        "rates": (mixture.rates, (n, d)),
+        "covariance": (mixture.covariance, (n, 2 * d, 2 * d)),
+        "suns": (mixture.suns, (n, 3)),
+        "log_weights": (mixture.log_weights, (n,)),
+        "existence": (mixture.existence, (3,)),
+        "point_spread": (mixture.point_spread, (2,)),
+    }
+    for name, (array, shape) in shapes.items():
+        if array.shape != shape or array.dtype != np.float64 or not 1 <= n <= _MOST_MODES:
+            raise ValueError(f"the mixture's {name} is {array.dtype} {array.shape}, not float64 {shape}")
+        if not (np.abs(array) <= (50.0 if name == "log_scale" else _LARGEST)).all():
+            raise ValueError(f"the mixture's {name} is not finite, or too large")
+
+
+def _is_positive(covariance: Array) -> bool:
+    variance = np.diag(covariance)
+    if variance.min() <= 0:
+        return False
+    return bool(np.linalg.eigvalsh(covariance / np.sqrt(np.outer(variance, variance))).min() > -_UNIT)
+
+
+def _check_numbers(mixture: Mixture) -> None:
+    core, wings = mixture.point_spread
+    bounds = {
+        "discrepancy": (mixture.discrepancy, float, 1e-9, 1.0),
+        "log_light": (mixture.log_light, float, -_LARGEST, _LARGEST),
+        "span_px": (mixture.span_px, float, 1.0, _MOST_SPAN_PX),
+        "core": (float(core), float, 1e-9, _LARGEST),
+        "wings": (float(wings), float, 0.0, _LARGEST),
+        "searches": (mixture.searches, int, 0, _LARGEST),
+        "since_search": (mixture.since_search, int, 0, _LARGEST),
+        "ever_tracked": (mixture.ever_tracked, bool, 0, 1),
+    }
+    for name, (value, kind, low, high) in bounds.items():
+        if type(value) is not kind or not low <= value <= high:
+            raise ValueError(f"the mixture's {name} is {value!r}")
