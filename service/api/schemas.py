@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model, model_validator
 from pydantic.json_schema import WithJsonSchema
 
+from service.api.existence import Fit, Probabilities, RankedModel, Status
 from service.api.rates import Rates
 from service.api.sky import Attitude, Camera, Light, Orbit
 from service.api.wire import Orientation, Wire
@@ -84,23 +85,13 @@ class Mode(Wire):
     spread: Spread
 
 
-class RankedModel(Wire):
-    """A model that the object may be."""
-
-    model_id: str
-    probability: float
-    """Given all frames so far, where all models were equally probable before."""
-    log_evidence: float
-    """Sum over the frames so far."""
-
-
 class Estimate(Wire):
     """The answer to a frame."""
 
     session_id: str
     index: int
     time: str
-    status: Literal["acquiring", "tracking", "lost", "no_target"]
+    status: Status
     duplicate: bool
     """True where the frame had been answered before."""
     mean: Pose
@@ -108,6 +99,13 @@ class Estimate(Wire):
     best: BestPose
     spread: FullSpread
     modes: list[Mode]
+    """Their weights are probabilities, given that the model fits."""
+    probabilities: Probabilities | None = None
+    """Of `mixture` only."""
+    fit: Fit | None = None
+    """Of `mixture` only: how well the best mode explains the light."""
+    spread_all: FullSpread | None = None
+    """Of `mixture` only: over all particles, where `spread` is that of the best mode."""
     rates: Rates | None = None
     """Null in the first frame, and with a motion that has no rates."""
     models: list[RankedModel] | None = None
@@ -248,7 +246,7 @@ class Session(Wire):
     model_ids: list[str] | None = None
     """The models that are compared."""
     state: Literal["waiting_for_background", "ready"]
-    status: Literal["acquiring", "tracking", "lost", "no_target"] | None
+    status: Status | None
     """Of the last estimate."""
     frames: int
     """Frames tracked so far: the next frame's index."""

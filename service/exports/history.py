@@ -19,7 +19,7 @@ from service.inference.pose import conjugate, log_so3, multiply
 from service.inference.state import Array
 
 PoseName = Literal["best", "mean"]
-_WITHOUT_TARGET = ("lost", "no_target")
+_WITHOUT_TARGET = ("no_fit", "lost", "no_target")
 
 
 @dataclass(frozen=True)

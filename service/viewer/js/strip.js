@@ -128,7 +128,7 @@ function unbroken(rows, spec) {
   let before;
   for (const row of rows) {
     const value = spec.value(row);
-    const gone = value === undefined || (spec.pose && (row.status === "lost" || row.status === "no_target"));
+    const gone = value === undefined || (spec.pose && (["lost", "no_fit", "no_target"].includes(row.status)));
     if (gone) { before = undefined; continue; }
     if (before === undefined || (spec.angle && Math.abs(value - before) > 180)) parts.push([]);
     parts.at(-1).push(row);
