@@ -60,7 +60,7 @@ class Terms:
 
 
 @dataclass
-class _Session:
+class BenchSession:
     """What an entry carries along a pass."""
 
     entry: Entry
@@ -114,7 +114,7 @@ def run_case(
     terms = terms or Terms()
     referee = Referee(case)
     backgrounds = list(case.backgrounds())
-    sessions = [_open(tracker, case, entry, backgrounds, terms.told) for entry in entries]
+    sessions = [open_session(tracker, case, entry, backgrounds, terms.told) for entry in entries]
     sky = SkyLevel(backgrounds) if backgrounds else None
     del backgrounds
     snr, size_px = [], []
@@ -136,11 +136,12 @@ def run_case(
     return [CaseResult(s.entry.name, case.name, tuple(s.scores), facts, joints, s.scorer, first) for s in sessions]
 
 
-def _open(tracker: Tracker, case: Case, entry: Entry, backgrounds: Sequence[bytes], told: Told) -> _Session:
+def open_session(tracker: Tracker, case: Case, entry: Entry, backgrounds: Sequence[bytes], told: Told) -> BenchSession:
+    """A contestant at the start of a pass: what it is told, and its sky."""
     config = told.configure(replace(entry.config, joints=JointParams(free=case.free)), case)
     learned = learned_sky(tracker, case, config, backgrounds)
     key = content_key(learned)
-    return _Session(entry, case, config, key, {case.model.key: case.model.data, key: learned})
+    return BenchSession(entry, case, config, key, {case.model.key: case.model.data, key: learned})
 
 
 def learned_sky(tracker: Tracker, case: Case, config: SessionConfig, backgrounds: Sequence[bytes]) -> bytes:

@@ -14,6 +14,7 @@ from service.cli.bench_engines import engines
 from service.cli.bench_light import light
 from service.cli.bench_likelihood import likelihood
 from service.cli.bench_load import load
+from service.cli.bench_misfits import misfits
 from service.cli.bench_scorers import scorers
 from service.cli.bench_step import step
 
@@ -38,6 +39,7 @@ bench.command()(scorers)
 bench.command()(step)
 bench.command()(light)
 bench.command()(likelihood)
+bench.command()(misfits)
 bench.command()(load)
 bench.command()(engines)
 

@@ -1,0 +1,56 @@
+"""Figures of ``service.bench.misfits`` as JSON and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from rich.table import Table
+
+from service.bench.misfits import WITHIN, MisfitRow
+
+KINDS = ("mesh", "mirror", "cloud")
+
+
+def misfit_document(machine: Mapping[str, Any], rows: Sequence[MisfitRow]) -> dict[str, Any]:
+    """Machine, rows, and per kind: how many, noticed in time, ``tracking`` in the last frame, share of frames."""
+    overall = {kind: _overall([row for row in rows if row.kind == kind]) for kind in KINDS}
+    return {
+        "machine": machine,
+        "rows": [asdict(row) for row in rows],
+        "overall": {kind: one for kind, one in overall.items() if one["passes"]},
+        "absent": {},
+    }
+
+
+def misfit_tables(document: Mapping[str, Any]) -> list[Table]:
+    """One line a pass, and the totals."""
+    single = Table(title="misfits")
+    for name in ("kind", "case", "model", "from", "noticed after", "tracking", "statuses"):
+        single.add_column(name)
+    for row in document["rows"]:
+        words = " ".join(_SHORT.get(status, status) for status in row["statuses"])
+        noticed = "never" if row["noticed_after"] is None else str(row["noticed_after"])
+        facts = (row["kind"], row["case"], row["model"], str(row["from_frame"]), noticed, f"{row['tracking']:.2f}")
+        single.add_row(*facts, words)
+    total = Table(title=f"noticed: no_fit, lost or ambiguous within {WITHIN} frames")
+    for name in ("kind", "passes", "noticed", "tracking at the end", "share of frames tracking"):
+        total.add_column(name)
+    for kind, one in document["overall"].items():
+        shares = (f"{one[name]:.2f}" for name in ("noticed", "tracking_at_end", "tracking"))
+        total.add_row(kind, str(one["passes"]), *shares)
+    return [single, total]
+
+
+_SHORT = {"tracking": "T", "acquiring": "a", "ambiguous": "A", "no_fit": "n", "lost": "l", "no_target": "0"}
+
+
+def _overall(rows: Sequence[MisfitRow]) -> dict[str, float]:
+    count = max(len(rows), 1)
+    return {
+        "passes": len(rows),
+        "noticed": sum(row.in_time for row in rows) / count,
+        "tracking_at_end": sum(row.last == "tracking" for row in rows) / count,
+        "tracking": sum(row.tracking for row in rows) / count,
+    }

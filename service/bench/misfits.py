@@ -1,0 +1,127 @@
+"""Frames that a model must not explain: another body's, mirrored ones, a cloud over half of the body.
+
+Each is a case whose later frames are spoilt; what counts is what the filter says of itself, not a pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.bench.brightness import grey
+from service.bench.cases import Case, TruthFrame
+from service.bench.runner import Entry, Terms, open_session
+from service.workers.tracker import Tracker
+
+Pixels = NDArray[np.integer]
+NOTICED = ("no_fit", "lost", "ambiguous")
+WITHIN = 5  # frames in which it should be noticed
+_CLOUD = 0.1  # of the light that comes through
+_CLOUD_EDGE = 0.1  # of the body's radius
+
+
+@dataclass(frozen=True)
+class MisfitRow:
+    """What was said of one spoilt pass. ``from_frame`` is the first that is spoilt."""
+
+    kind: str  # mesh, mirror, cloud
+    case: str
+    model: str  # that it was followed with
+    from_frame: int
+    noticed_after: int | None  # frames, 1: at once; None: never
+    tracking: float  # share of the spoilt frames
+    last: str
+    statuses: tuple[str, ...]
+
+    @property
+    def in_time(self) -> bool:
+        """Whether it was noticed soon enough."""
+        return self.noticed_after is not None and self.noticed_after <= WITHIN
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A case whose frames are spoilt from ``from_frame`` on."""
+
+    kind: str
+    case: Case
+    from_frame: int
+
+
+def wrong_meshes(cases: Sequence[Case], most: int) -> Iterator[Misfit]:
+    """The first case of each of the first ``most`` bodies, followed with each other body's mesh."""
+    bodies = list({case.model.key: case for case in reversed(cases)}.values())[::-1][:most]
+    for case in bodies:
+        for other in bodies:
+            if other is not case:
+                swapped = replace(case, model=other.model, free=other.free, scale_prior=None)
+                yield Misfit("mesh", swapped, 0)
+
+
+def mirrored(case: Case, from_frame: int) -> Misfit:
+    """Left and right change places about the body's middle."""
+
+    def flip(image: Pixels, truth: TruthFrame) -> Pixels:
+        across = round(2 * float(truth.position[0]) - image.shape[1])
+        return np.roll(image[:, ::-1], across, axis=1)
+
+    return Misfit("mirror", _spoilt(case, from_frame, flip), from_frame)
+
+
+def clouded(case: Case, from_frame: int) -> Misfit:
+    """A tenth of the light comes through over the brighter half of the body, left or right."""
+    sky = np.mean([_pixels(body) for body in case.backgrounds()], axis=0)
+    first, truth = next(islice(case.frames(), from_frame, None))
+    light = np.clip(grey(first) - sky.reshape(*sky.shape[:2], -1).mean(axis=2), 0, None)
+    left_of = np.arange(light.shape[1]) < truth.position[0]
+    side = 1.0 if light[:, left_of].sum() > light[:, ~left_of].sum() else -1.0
+
+    def cover(image: Pixels, truth: TruthFrame) -> Pixels:
+        edge = _CLOUD_EDGE * case.model.mesh.radius * truth.scale
+        behind = side * (truth.position[0] - np.arange(image.shape[1]) - 0.5) / edge
+        through = 1 - (1 - _CLOUD) / (1 + np.exp(-np.clip(behind, -50, 50)))
+        through = through.reshape(1, -1, *[1] * (image.ndim - 2))
+        top = np.iinfo(image.dtype).max
+        return np.asarray(np.clip(np.rint(sky + (image - sky) * through), 0, top), dtype=image.dtype)
+
+    return Misfit("cloud", _spoilt(case, from_frame, cover), from_frame)
+
+
+def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> MisfitRow:
+    """Follow one, and say when it was noticed."""
+    case = misfit.case
+    session = open_session(tracker, case, entry, list(case.backgrounds()), terms.told)
+    said = [
+        session.track(tracker, k, truth.time_s, body).estimate.status
+        for k, (body, truth) in enumerate(islice(case.frames(), terms.limit))
+    ]
+    spoilt = said[misfit.from_frame :]
+    noticed = next((k + 1 for k, status in enumerate(spoilt) if status in NOTICED), None)
+    share = spoilt.count("tracking") / len(spoilt)
+    return MisfitRow(
+        misfit.kind, case.name, case.model.name, misfit.from_frame, noticed, share, spoilt[-1], tuple(said)
+    )
+
+
+def _spoilt(case: Case, from_frame: int, spoil: Callable[[Pixels, TruthFrame], Pixels]) -> Case:
+    def frames() -> Iterator[tuple[bytes, TruthFrame]]:
+        for k, (body, truth) in enumerate(case.frames()):
+            yield (body if k < from_frame else _encoded(spoil(_pixels(body), truth))), truth
+
+    return replace(case, frames=frames)
+
+
+def _pixels(body: bytes) -> Pixels:
+    image = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError("a frame is no image")
+    return np.asarray(image, dtype=image.dtype)
+
+
+def _encoded(image: Pixels) -> bytes:
+    return cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes()
