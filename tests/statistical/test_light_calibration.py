@@ -11,8 +11,9 @@ from lit_body import FINEST, SUN, VIEW, lit_body, pose, scene, seen
 from scipy import stats
 
 from service.inference.model import prior
+from service.inference.model.derivatives import across
 from service.inference.model.drawing import Quality
-from service.inference.numerics.gauss_newton import Hill, across, ascend
+from service.inference.numerics.gauss_newton import Hill, ascend
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import local, retract
 

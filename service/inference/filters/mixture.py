@@ -114,17 +114,10 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_]) -> 
     d = ahead.rates.shape[1]
     precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
     poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
-    lead = int(np.argmax(ahead.log_weights))
-    out: list[Refined] = [None] * len(poses)  # type: ignore[list-item]
-    others = np.array([k for k in range(len(poses)) if k != lead], dtype=np.intp)
-    for at, steps in ((np.array([lead]), LEADER_STEPS), (others, OTHERS_STEPS)):
-        if not len(at):
-            continue
-        believed = Believed(ahead.poses[at], precision[at], wrapping)
-        climbed = ascend(hill, poses[at], ahead.suns[at], steps=steps, covariance="last", believed=believed)
-        for k, one in zip(at, climbed, strict=True):
-            out[k] = one
-    return out
+    steps = np.full(len(poses), OTHERS_STEPS)
+    steps[np.argmax(ahead.log_weights)] = LEADER_STEPS
+    believed = Believed(ahead.poses, precision, wrapping)
+    return ascend(hill, poses, ahead.suns, steps=steps, covariance="last", believed=believed)
 
 
 def weigh(

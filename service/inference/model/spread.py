@@ -52,6 +52,30 @@ def spread(images: Images, point_spread: PointSpread, low_pass: float) -> Images
     return out
 
 
+def spread_slopes(images: Images, point_spread: PointSpread, low_pass: float) -> tuple[Images, Images, Images]:
+    """``spread``, and its slopes along x and y: the Gaussians' own, so nothing is differenced."""
+    blurred, dx, dy = (np.zeros_like(images) for _ in range(3))
+    for weight, sigma in point_spread.gaussians(low_pass):
+        matrix, slope = (of(images.shape[-1], round(sigma, 4)) for of in (band, band_slope))
+        along = np.float32(weight) * (matrix @ images)
+        blurred += along @ matrix
+        dx += along @ slope.T
+        dy += np.float32(weight) * (slope @ (images @ matrix))
+    return blurred, dx, dy
+
+
+@lru_cache(maxsize=256)
+def band_slope(side: int, sigma: float) -> NDArray[np.float32]:
+    """(side, side) derivative of ``band`` by where it looks; a ramp's is exact."""
+    gap = np.subtract.outer(np.arange(side), np.arange(side)).astype(np.float64)
+    width = max(sigma, 0.4)  # a narrower one falls between the pixels
+    kernel, reach = -gap * np.exp(-0.5 * (gap / width) ** 2), np.arange(-side, side + 1)
+    kernel[np.abs(kernel) < _LEAST] = 0.0
+    matrix = np.asarray(kernel / (reach**2 * np.exp(-0.5 * (reach / width) ** 2)).sum(), np.float32)
+    matrix.flags.writeable = False
+    return matrix
+
+
 @lru_cache(maxsize=256)
 def band(side: int, sigma: float) -> NDArray[np.float32]:
     """(side, side) Gaussian blur along one axis; beyond the border is nothing."""

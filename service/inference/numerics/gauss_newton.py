@@ -1,6 +1,6 @@
 """Poses at their best: Gauss-Newton on pose, joints and the Sun, with the linear unknowns of the light eliminated.
 
-Many poses climb at once: each round draws all their differences in one launch.
+Many poses climb at once: each round draws all that their derivatives need in one launch.
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from service.inference.model.derivatives import across, derivatives
 from service.inference.model.drawing import FINE, Drawing, Quality, View
 from service.inference.model.likelihood import ROUNDS, Fit, Scene, terms_of
-from service.inference.model.spread import spread
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
 
-_SUN_STEP = 0.03  # rad of a difference
 _ENOUGH = 0.1  # nats: a step that gains less is the last
 _ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
 _SHORTER = 0.3  # of a step that did not climb
@@ -66,11 +65,11 @@ def ascend(
     poses: Poses,
     suns: Array,
     *,
-    steps: int,
+    steps: int | NDArray[np.intp],
     covariance: Literal["exact", "last", "none"] = "exact",
     believed: Believed | None = None,
 ) -> list[Refined]:
-    """Climb from N poses, each with its Sun (N, 3); ``steps`` at the most. In the order given.
+    """Climb from N poses, each with its Sun (N, 3); ``steps`` at the most, (N,) if each its own. In the order given.
 
     ``covariance``: at the end, at the place of the last step's start (which is cheaper), or none.
     """
@@ -78,8 +77,9 @@ def ascend(
     fits, scores = _look(hill, poses, suns, believed, np.arange(len(poses)))
     curvatures: list[Array] = [np.full((d, d), np.nan)] * len(poses)
     going = np.ones(len(poses), dtype=bool)
-    for _ in range(steps):
-        at = np.flatnonzero(going)
+    most = np.broadcast_to(steps, len(poses))
+    for taken in range(int(most.max(initial=0))):
+        at = np.flatnonzero(going & (most > taken))
         if not len(at):
             break
         systems = _systems(hill, poses[at], suns[at], [fits[k] for k in at], believed, at)
@@ -153,7 +153,7 @@ def _systems(
 
     D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
     """
-    slopes = _differences(hill, poses, suns, fits)
+    slopes = _slopes(hill, poses, suns, fits)
     found = [_system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k]) for k in range(len(poses))]
     if believed is not None and at is not None:
         towards, d = -believed.away(poses, at), believed.precision.shape[1]
@@ -201,38 +201,12 @@ def _damping(hill: Hill, poses: Poses) -> Array:
     return np.asarray(widths**-2)
 
 
-def _steps(hill: Hill, poses: Poses) -> Array:
-    """(N, 6 + J) by how much each coordinate differs: the rim moves by ``difference``."""
-    rim = np.maximum(hill.drawing.radius * np.exp(poses.log_scale) / hill.view.binning, 1.0)
-    turn = hill.difference / rim
-    place = np.full(len(poses), hill.difference * hill.view.binning)
-    columns = [turn, turn, turn, place, place, turn]
-    joints = hill.drawing.articulation.joints
-    columns += [np.rad2deg(2 * turn) if j.kind == "revolute" else turn * hill.drawing.radius for j in joints]
-    return np.column_stack(columns)
-
-
-def _differences(hill: Hill, poses: Poses, suns: Array, fits: list[Fit]) -> NDArray[np.float32]:
-    """(N, D, S, S) central differences of the models' images."""
-    steps = _steps(hill, poses)
-    n, d = steps.shape
-    more = 2 if hill.sun_free else 0
-    moves = np.zeros((n, 2, d + more, d))
-    moves[:, 0, range(d), range(d)], moves[:, 1, range(d), range(d)] = steps, -steps
-    all_suns = np.tile(suns[:, None, None], (1, 2, d + more, 1))
-    if hill.sun_free:
-        for k, sun in enumerate(suns):
-            turned = np.stack([sun + _SUN_STEP * across(sun), sun - _SUN_STEP * across(sun)])
-            all_suns[k, :, d:] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
-    each = 2 * (d + more)
-    start = poses[np.repeat(np.arange(n), each)]
-    coefficients = np.repeat(np.stack([fit.coefficients for fit in fits]), each, axis=0)
-    moved = retract(start, moves.reshape(-1, d))
-    drawn = hill.drawing.combined(moved, all_suns.reshape(-1, 3), coefficients, hill.view, hill.quality)
-    side = hill.view.side
-    drawn = drawn.reshape(n, 2, d + more, side, side)
-    half = np.concatenate([0.5 / steps, np.full((n, more), 0.5 / _SUN_STEP)], axis=1).astype(np.float32)
-    return spread((drawn[:, 0] - drawn[:, 1]) * half[..., None, None], hill.scene.point_spread, hill.scene.smoothing)
+def _slopes(hill: Hill, poses: Poses, suns: Array, fits: list[Fit]) -> NDArray[np.float32]:
+    """(N, D, S, S) derivatives of the models' images."""
+    blur = hill.scene.point_spread, hill.scene.smoothing
+    shares = np.stack([fit.coefficients for fit in fits])
+    given = hill.drawing, hill.view, hill.quality, blur, poses, suns, shares
+    return derivatives(*given, difference=hill.difference, sun_free=hill.sun_free)
 
 
 def _moved(poses: Poses, suns: Array, moves: Array, hill: Hill) -> tuple[Poses, Array]:
@@ -263,11 +237,3 @@ def _replaced(poses: Poses, at: NDArray[np.intp], by: Poses) -> Poses:
     for part, new in zip(parts, (by.quaternion, by.position, by.log_scale, by.joints), strict=True):
         part[at] = new
     return Poses(*parts)
-
-
-def across(direction: Array) -> Array:
-    """(2, 3) unit vectors across a direction and each other."""
-    aside = np.eye(3)[np.argmin(np.abs(direction))]
-    first = np.cross(direction, aside)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])

@@ -7,6 +7,7 @@ import pytest
 from lit_body import FINEST, QUALITY, SUN, VIEW, lit_body, pose, scene, seen, shares
 from scipy.optimize import least_squares
 
+from service.inference.model.derivatives import across, steps_of
 from service.inference.model.drawing import Quality
 from service.inference.model.likelihood import ROUNDS, Scene
 from service.inference.model.spread import spread
@@ -15,9 +16,7 @@ from service.inference.numerics.gauss_newton import (
     Refined,
     _look,
     _moved,
-    _steps,
     _systems,
-    across,
     ascend,
     within,
 )
@@ -78,7 +77,8 @@ def test_slope_and_curvature_are_those_of_the_posterior_at_fixed_weights():
     start = moved(0.004, -0.005, 0.004, 0.06, -0.05, 0.002, 1.0)
     fits, _ = _look(on, start, sun[None])
     curvature, slope = _systems(on, start, sun[None], fits)[0]
-    step = np.append(_steps(on, start)[0], [0.03, 0.03])
+    turn, joint = steps_of(on.drawing, on.view, on.difference, start)
+    step = np.array([turn[0]] * 3 + [on.difference] * 2 + [turn[0], joint[0, 0], 0.03, 0.03])
     directions = np.vstack([np.eye(9), np.random.default_rng(3).normal(size=(3, 9)) / 3]) * 0.5 * step
     for direction in directions:
         value = []
