@@ -139,6 +139,7 @@ class Details:
     deviation: NDArray[np.float64]  # (M,)
     normal: NDArray[np.float64]  # (M, M) curvature of the log posterior
     pull: NDArray[np.float64]  # (M,) its slope
+    lit: NDArray[np.intp]  # numbers of the positives that show light: the first of the M
 
 
 class LightEvidence:
@@ -160,9 +161,10 @@ class LightEvidence:
         """The same, and what each pose's curvature is made of."""
         n, n_planes, side, _ = planes.shape
         unknowns, pixels = self._unknowns(n_planes, terms), side * side
-        out = np.empty((n, LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 3)), np.float32)
+        out = np.empty((n, LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 4)), np.float32)
         answers = self._run(planes, n_groups, terms, rounds, out)
-        return answers, [_details(row, unknowns, side) for row in out]
+        always = unknowns - (n_planes - 1)
+        return answers, [_details(row, unknowns, always, side) for row in out]
 
     def close(self) -> None:
         """Wait for the device and give its memory back."""
@@ -199,7 +201,8 @@ class LightEvidence:
             weights = np.array([w for w, _ in terms.gaussians], np.float32)
             radii = np.array([len(t) // 2 for t in taps], np.int32)
             arrays += (terms.slopes, terms.bumps, weights, radii, np.concatenate(taps))
-            inputs = [constant(self._context, np.ascontiguousarray(a)) for a in arrays]
+            inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in arrays]
+            inputs.insert(3, np.int32(terms.mean.shape[1] if terms.mean.ndim == 2 else 0))
             sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, len(taps), length)
             scalars: tuple[float, ...] = (
                 terms.noise,
@@ -239,18 +242,19 @@ def open_evidence(kind: str = "cpu") -> LightEvidence:
     return LightEvidence(first_device(kind))
 
 
-def _details(row: Numbers, unknowns: int, side: int) -> Details:
-    """One pose's row, as the kernel lays it out; what lies behind its count is not written."""
+def _details(row: Numbers, unknowns: int, always: int, side: int) -> Details:
+    """One pose's row, as the kernel lays it out; ``always``: unknowns that every pose has. The rest is not written."""
     count, pixels = int(row[0]), side * side
     maps = row[LANES : LANES + 4 * pixels].reshape(4, side, side)
     rest = row[LANES + 4 * pixels :]
     tail = rest[unknowns * pixels :]
     columns = rest[: count * pixels].reshape(count, side, side)
-    starts = (0, unknowns, 2 * unknowns, unknowns * (unknowns + 2))
-    lengths = (count, count, count * count, count)
+    starts = (0, unknowns, 2 * unknowns, unknowns * (unknowns + 2), unknowns * (unknowns + 3))
+    lengths = (count, count, count * count, count, count - always)
     parts = [tail[at : at + length].astype(np.float64) for at, length in zip(starts, lengths, strict=True)]
     maps_four = maps[0], maps[1], maps[2], maps[3]
-    return Details(*maps_four, columns, parts[0], parts[1], parts[2].reshape(count, count), parts[3])
+    more = parts[2].reshape(count, count), parts[3], parts[4].astype(np.intp)
+    return Details(*maps_four, columns, parts[0], parts[1], *more)
 
 
 def _lanes(count: int) -> int:

@@ -306,7 +306,8 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
     // The gain by least squares, everything else at its prior.
     clear(r.light, all, s.side);
     for (int m = 0; m < lit; ++m)
-        add(r.light, picture_in(s, r, s.first + m), r.box[s.first + m], s.side, exp(offset[r.plane[m]]));
+        add(r.light, picture_in(s, r, s.first + m), r.box[s.first + m], s.side,
+            exp(offset[r.plane[m]] + (float)r.mean[m]));
     add(r.light, picture_in(s, r, EVEN), *body, s.side, (float)r.mean[lit + 1]);
     const float power = dot_in(r.light, r.light, *body, s.side), likeness = dot_in(r.light, data, *body, s.side);
     if (power > 0.0f && likeness > 0.0f)
@@ -340,7 +341,7 @@ static double log_density(const Scene s, const Room r, float *chi2)
 // How many numbers `tell` writes.
 static size_t told_size(const Scene s)
 {
-    return LANES + (size_t)(4 + s.unknowns) * s.pixels + (size_t)s.unknowns * (s.unknowns + 3);
+    return LANES + (size_t)(4 + s.unknowns) * s.pixels + (size_t)s.unknowns * (s.unknowns + 4);
 }
 
 // For Gauss-Newton: curvature and slope of the log posterior by the unknowns, before the factor takes their place.
@@ -353,7 +354,8 @@ static void tell_normal(const Scene s, const Room r, const int count, const int 
     }
 }
 
-// For Gauss-Newton: count; residual, weight, model, light; then every scaled picture, precision, deviation.
+// For Gauss-Newton: count; residual, weight, model, light; then every scaled picture, precision, deviation; last of
+// all the numbers of the planes that are lit.
 static void tell(const Scene s, const Room r, const int lit, const int count, const Box body, __global float *out)
 {
     const Box all = {0, s.side, 0, s.side};
@@ -383,12 +385,14 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
         to[i] = (float)r.precision[i];
         to[s.unknowns + i] = (float)(r.value[i] - r.mean[i]);
     }
+    to += s.unknowns * (s.unknowns + 3);
+    for (int m = 0; m < lit; ++m) to[m] = (float)r.plane[m];
 }
 
-// out (N, 4): log evidence, chi2 of the body, log det, squared deviation; values (N, planes) what `combined` takes.
+// given_mean, given_precision (unknowns), or `every` of them a pose. out (N, 4): log evidence, chi2 of the body, log det, squared deviation; values (N, planes) what `combined` takes.
 __kernel void evidence(
     __global const float *planes, const int poses, __global const float *offset, __global const float *given_mean,
-    __global const float *given_precision, __global const float *data, __global const uchar *full,
+    __global const float *given_precision, const int every, __global const float *data, __global const uchar *full,
     __global const float *slopes, __global const float *bumps, __global const float *weights,
     __global const int *radii, __global const float *taps, const int groups, const int side, const int n_planes,
     const int speckle, const int shifts, const int rounds, const int components, const int length,
@@ -403,8 +407,8 @@ __kernel void evidence(
     prepare(s, r, slopes);
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
         Box body;
-        const int lit = begin(s, r, planes + (size_t)pose * n_planes * pixels, offset, given_mean, given_precision,
-            data, weights, radii, taps, groups, &body);
+        const int lit = begin(s, r, planes + (size_t)pose * n_planes * pixels, offset,
+            given_mean + (size_t)pose * every, given_precision + (size_t)pose * every, data, weights, radii, taps, groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
         draw_model(s, r, lit, count, body, offset, data, full, bumps);
         bool sound = true, still = false;
@@ -430,7 +434,8 @@ __kernel void evidence(
         out[4 * pose + 3] = (float)squares;
         __global float *drawn = coefficients + (size_t)pose * n_planes;
         const float bright = (float)exp(r.value[lit]);
-        for (int p = 0; p < s.positives; ++p) drawn[p < groups ? p : p + 1] = bright * exp(offset[p]);
+        for (int p = 0; p < s.positives; ++p)
+            drawn[p < groups ? p : p + 1] = bright * exp(offset[p] + given_mean[(size_t)pose * every + p]);
         for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + 1] = r.scale[m];
         drawn[groups] = bright * (float)r.value[lit + 1] - hidden * (float)r.value[lit + 2];
         if (details)

@@ -64,14 +64,17 @@ class Mixture:
     rates: Array  # (K, d)
     covariance: Array  # (K, 2d, 2d) scale of (pose in the tangent space, rates)
     suns: Array  # (K, 3) towards the Sun, unit
+    paint: Array  # (K, 2, P) what each has learnt of the surfaces: see ``model.paint``
     log_weights: Array  # (K,) of probabilities given that the model fits
     existence: Array  # (3,) probabilities: absent, fits, no_fit
     point_spread: Array  # (2,) s and w, frame px
     discrepancy: float  # tau
+    log_chi2: Array  # (2,) mean and variance of the log of what the body leaves over
     log_light: float  # of the body's whole light when it was last seen, counts
     span_px: float  # of the patch, frame px
     ever_tracked: bool
-    searches: int  # without a sure track, one after the other
+    searches: int  # that could not better the leader, one after the other
+    misses: int  # that had not found it while another led
     since_search: int  # frames
 
 

@@ -16,6 +16,8 @@ from service.inference.domain import Domain
 from service.inference.filters.given import Given
 from service.inference.filters.mixture import step
 from service.inference.light import Light
+from service.inference.model.paint import unlearnt
+from service.inference.model.prior import GLOSS_LOBES
 from service.inference.model.search import make_bank
 from service.inference.model.stages import Body
 from service.inference.model.templates import Bank
@@ -63,7 +65,7 @@ class Following:
         bank = partial(self._bank, key, body, told)
         given = Given(frame, body, bank, told, config, domain, twins, job.frame_index, job.time_s)
         stream = np.array([config.filter.seed, job.frame_index], np.uint64)
-        state, estimate = step(np.random.Generator(np.random.Philox(key=stream)), job.state, given)
+        state, estimate = step(np.random.Generator(np.random.Philox(key=stream)), of_body(job.state, body), given)
         belief = belief_after(job, state, (), domain)
         estimate = with_rates(estimate, state, belief, job, domain, ())
         return state, in_full_frame(estimate, job.config.camera), belief
@@ -92,6 +94,15 @@ class _Kept:
         if sun is None or self._sun is None:
             return sun is None and self._sun is None
         return float(np.linalg.norm(sun - self._sun)) < _SAME_SUN_RAD
+
+
+def of_body(state: FilterState | None, body: Body) -> FilterState | None:
+    """A state whose modes know as many surfaces as the body has: another version may have cut it otherwise."""
+    planes = body.fine.n_groups * (1 + len(GLOSS_LOBES)) + 1
+    if state is None or state.mixture is None or state.mixture.paint.shape[-1] == planes - 1:
+        return state
+    fresh = np.tile(unlearnt(planes), (len(state.mixture.poses), 1, 1))
+    return replace(state, mixture=replace(state.mixture, paint=fresh))
 
 
 def told_of(config: SessionConfig, domain: Domain, light: Light | None) -> PosePrior:

@@ -22,6 +22,8 @@ def check_mixture(mixture: Mixture, n_joints: int) -> None:
             raise ValueError("the mixture's probabilities do not sum to 1")
     if not all(_is_positive(covariance) for covariance in mixture.covariance):
         raise ValueError("a covariance of the mixture is not positive")
+    if min(mixture.paint[:, 1].min(initial=0.0), mixture.log_chi2[1]) < 0:
+        raise ValueError("something that the mixture has learnt has a variance below zero")
     _check_numbers(mixture)
 
 
@@ -35,9 +37,11 @@ def _check_arrays(mixture: Mixture, d: int) -> None:
         "rates": (mixture.rates, (n, d)),
         "covariance": (mixture.covariance, (n, 2 * d, 2 * d)),
         "suns": (mixture.suns, (n, 3)),
+        "paint": (mixture.paint, (n, 2, mixture.paint.shape[-1] if mixture.paint.ndim else 0)),
         "log_weights": (mixture.log_weights, (n,)),
         "existence": (mixture.existence, (3,)),
         "point_spread": (mixture.point_spread, (2,)),
+        "log_chi2": (mixture.log_chi2, (2,)),
     }
     for name, (array, shape) in shapes.items():
         if array.shape != shape or array.dtype != np.float64 or not 1 <= n <= _MOST_MODES:
@@ -62,6 +66,7 @@ def _check_numbers(mixture: Mixture) -> None:
         "core": (float(core), float, 1e-9, _LARGEST),
         "wings": (float(wings), float, 0.0, _LARGEST),
         "searches": (mixture.searches, int, 0, _LARGEST),
+        "misses": (mixture.misses, int, 0, _LARGEST),
         "since_search": (mixture.since_search, int, 0, _LARGEST),
         "ever_tracked": (mixture.ever_tracked, bool, 0, 1),
     }

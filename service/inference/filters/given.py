@@ -58,6 +58,7 @@ class Predicted:
     rates: Array
     covariance: Array  # (K, 2d, 2d)
     suns: Array
+    paint: Array  # (K, 2, P)
     log_weights: Array
     existence: Array  # (3,)
 
@@ -69,8 +70,10 @@ class Updated:
     refined: list[Refined]
     rates: Array
     covariance: Array
+    paint: Array  # (K, 2, P)
     log_weights: Array  # (K,) not normalised: with the frame's evidence
     existence: Array  # (3,) as if the truth were among the modes
     nuisance: Nuisance
+    log_chi2: Array  # (2,)
     log_light: float
     is_new: bool  # whether the leader was born now

@@ -14,9 +14,10 @@ from service.inference.estimate import tangent
 from service.inference.filters.answer import drawn, estimate_of, unseen
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.status import status_of, told_existence
-from service.inference.model import existence, prior
-from service.inference.model.drawing import Quality
+from service.inference.model import existence, paint, prior
+from service.inference.model.drawing import Images, Quality
 from service.inference.model.dynamics import corrected, new_born, predicted
+from service.inference.model.existence import evidence_at
 from service.inference.model.nuisance import Nuisance, log_prior, nudged
 from service.inference.model.search import Found, search
 from service.inference.model.stages import Stage, stage_hill
@@ -46,8 +47,8 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     hill, nuisance = ground(before, ahead, found, given)
     if hill is None or (ahead is None and not (found and found.basins)):
         return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
-    light = None if before is None else before.log_light
-    updated = weigh(update(ahead, hill, given.domain.wrapping), ahead, found, hill, noise, nuisance, given, light)
+    refined = update(ahead, hill, given.domain.wrapping)
+    updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
     after = prune(updated, before, found, given, hill)
     if ahead is not None and before is not None and after.existence[existence.ABSENT] >= 0.5:
         after = waiting(after, ahead, before)
@@ -60,6 +61,7 @@ def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
         before,
         poses=ahead.poses,
         covariance=ahead.covariance,
+        paint=ahead.paint,
         log_weights=ahead.log_weights,
         existence=after.existence,
         searches=after.searches,
@@ -73,7 +75,8 @@ def predict(before: Mixture, noise: RateFilter, dt_s: float) -> Predicted:
     poses = retract(before.poses, before.rates * dt_s)
     weights = prior.EVIDENCE_KEPT * before.log_weights
     weights = weights - np.logaddexp.reduce(weights)
-    return Predicted(poses, before.rates, covariance, before.suns, weights, existence.expected(before.existence, dt_s))
+    here = existence.expected(before.existence, dt_s)
+    return Predicted(poses, before.rates, covariance, before.suns, paint.expected(before.paint), weights, here)
 
 
 def propose(rng: np.random.Generator, before: Mixture | None, given: Given) -> Found | None:
@@ -89,6 +92,8 @@ def search_due(before: Mixture | None) -> bool:
         return True
     if before.existence[existence.ABSENT] >= 0.5:  # what comes back is within reach of its prediction, as a rule
         return before.since_search > 0
+    if before.searches < _EAGER + before.misses or before.existence[existence.NO_FIT] >= 0.5:
+        return before.since_search + 1 >= _RARER
     return bool(before.since_search + 1 >= min(_RARER ** (before.searches - _EAGER + 1), _RAREST))
 
 
@@ -116,7 +121,7 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_]) -> 
     poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
     steps = np.full(len(poses), OTHERS_STEPS)
     steps[np.argmax(ahead.log_weights)] = LEADER_STEPS
-    believed = Believed(ahead.poses, precision, wrapping)
+    believed = Believed(ahead.poses, precision, wrapping, ahead.paint)
     return ascend(hill, poses, ahead.suns, steps=steps, covariance="last", believed=believed)
 
 
@@ -128,7 +133,7 @@ def weigh(
     noise: RateFilter,
     nuisance: Nuisance,
     given: Given,
-    before_light: float | None,
+    before: Mixture | None,
 ) -> Updated:
     """Evidence of each mode, of newborn ones beside them, and of the three hypotheses."""
     rates, covariances, weights, flat, occams = [], [], [], [], []
@@ -147,6 +152,10 @@ def weigh(
     born = newborn(refined, found)
     start = existence.expected(None, 0.0) if ahead is None else ahead.existence
     lead = int(np.argmax(weights)) if weights else -1
+    level = 0.0  # weight of evidence in this frame alone
+    if born and lead >= 0:
+        afresh = evidence_at(hill, hill.scene, planes_of(refined[lead], hill)) - refined[lead].fit.log_evidence
+        level = weights[lead] - prior.EVIDENCE_TRUST * (flat[lead] + afresh) + float(np.log(prior.BIRTH))
     for one in born:
         rates.append(np.zeros(len(one.covariance)))
         covariances.append(new_born(one.covariance, noise))
@@ -156,24 +165,48 @@ def weigh(
             + 0.5 * d * float(np.log(2 * np.pi))
             - given.domain.log_volume
         )
-        even = weights[lead] - prior.EVIDENCE_TRUST * flat[lead] + float(np.log(prior.BIRTH)) if lead >= 0 else 0.0
-        weights.append(prior.EVIDENCE_TRUST * _flat(one, 0.0) + even)
+        weights.append(prior.EVIDENCE_TRUST * _flat(one, 0.0) + level)
     everybody = [*refined, *born]
     log_weights = np.array(weights)
     lead = int(np.argmax(log_weights))
     best = everybody[lead]
-    planes = hill.drawing.planes(best.pose, best.sun, hill.view, hill.quality)
+    planes = planes_of(best, hill)
     light = existence.log_light(hill, best.fit)
-    fits = best.fit.log_evidence + occams[lead] + log_prior(nuisance) + existence.log_of_change(before_light, light)
+    fits = (
+        best.fit.log_evidence
+        + occams[lead]
+        + log_prior(nuisance)
+        + existence.log_of_change(None if before is None else before.log_light, light)
+    )
     unlike = existence.log_unlike(hill, planes) + occams[lead]
     logs = np.log(np.maximum(start, 1e-9)) + np.array([existence.log_absent(hill), fits, max(fits, unlike)])
-    logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(best.fit.chi2)
+    usual = existence.usual_chi2() if before is None else before.log_chi2
+    logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(best.fit.chi2, usual)
     probabilities = np.exp(logs - np.logaddexp.reduce(logs))
-    nuisance = nudged(hill, planes, best.fit.log_evidence, nuisance, given.index)
-    is_new = lead >= len(refined)
+    known = [*([] if ahead is None else ahead.paint), *[paint.unlearnt(planes.shape[1])] * len(born)]
+    nuisance = nudged(hill, planes, best.fit.log_evidence, nuisance, given.index, known[lead])
     return Updated(
-        everybody, np.array(rates), np.array(covariances), log_weights, probabilities, nuisance, light, is_new
+        refined=everybody,
+        rates=np.array(rates),
+        covariance=np.array(covariances),
+        paint=np.stack([paint.learnt(one.fit, before) for one, before in zip(everybody, known, strict=True)]),
+        log_weights=log_weights,
+        existence=probabilities,
+        nuisance=nuisance,
+        log_light=light,
+        log_chi2=existence.usual_chi2(usual, best.fit.chi2, probabilities[existence.FITS]),
+        is_new=lead >= len(refined),
     )
+
+
+def planes_of(one: Refined, hill: Hill) -> Images:
+    """(1, Q, S, S) pictures of a mode."""
+    return hill.drawing.planes(one.pose, one.sun, hill.view, hill.quality)
+
+
+def missed_by(before: Mixture, updated: Updated) -> bool:
+    """Whether earlier searches are now known to have missed the truth; what was out of sight may be anywhere."""
+    return updated.is_new and bool(before.existence[existence.ABSENT] < 0.5)
 
 
 def newborn(refined: list[Refined], found: Found | None) -> list[Refined]:
@@ -199,14 +232,17 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         rates=updated.rates[kept],
         covariance=updated.covariance[kept],
         suns=np.stack([updated.refined[k].sun for k in kept]),
+        paint=updated.paint[kept],
         log_weights=chosen,
         existence=updated.existence,
         point_spread=np.array([updated.nuisance.core, updated.nuisance.wings]),
         discrepancy=updated.nuisance.discrepancy,
+        log_chi2=updated.log_chi2,
         log_light=updated.log_light,
         span_px=hill.view.side * hill.view.binning / 1.6,
         ever_tracked=before is not None and before.ever_tracked,
         searches=(0 if before is None or updated.is_new else before.searches) + (found is not None),
+        misses=0 if before is None else before.misses + (before.searches if missed_by(before, updated) else 0),
         since_search=0 if found is not None or before is None else before.since_search + 1,
     )
     status = status_of(mixture, given.twins, given.domain)

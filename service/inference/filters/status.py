@@ -19,7 +19,7 @@ _EQUIVALENT_DEG = 5.0
 def told_existence(mixture: Mixture) -> Array:
     """(3,) probabilities: what no search may have met is nothing that the modes explain."""
     absent, fits, no_fit = mixture.existence
-    lost = fits * existence.missed(mixture.searches)
+    lost = fits * existence.missed(mixture.searches, mixture.misses)
     return np.array([absent, fits - lost, no_fit + lost])
 
 

@@ -41,8 +41,11 @@ def build(drawing: Drawing, suns: Array) -> T.Bank:
     zoom = T._RIM_PX / rim
     poses = Poses(quaternion, (middle - centre) * zoom[:, None] + T.SIDE / 2, size + np.log(zoom), joints)
     view = View((0.0, 0.0), 1.0, T.SIDE)
-    kinds = [T.kinds_of(light, outline) for light, outline in _draw(drawing, poses, suns, view, _PICTURE)]
-    return T.Bank(suns, poses, np.ascontiguousarray(np.concatenate(kinds, axis=1)))
+    kinds, done = np.empty((len(T.KINDS), count, T.SIDE**2), np.float32), 0
+    for light, outline in _draw(drawing, poses, suns, view, _PICTURE):
+        T.kinds_of(light, outline, kinds[:, done : done + len(light)])
+        done += len(light)
+    return T.Bank(suns, poses, kinds)
 
 
 def _draw(drawing: Drawing, poses: Poses, suns: Array, view: View, quality: Quality) -> Iterator[tuple[Images, Images]]:

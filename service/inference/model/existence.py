@@ -55,19 +55,47 @@ def log_of_change(before: float | None, now: float) -> float:
     return 0.0 if before is None else -0.5 * ((now - before) / prior.FADES) ** 2
 
 
-def log_chi2_densities(chi2: float) -> Array:
-    """(2,) log densities of the mean square that is left over: where the body fits, and where it is another."""
+def log_chi2_densities(chi2: float, level: Array) -> Array:
+    """(2,) log densities of the mean square that is left over: where the body fits, and where it does not.
+
+    It does not where it is another body, or where something has come between: then more is left over than this body
+    has left until now (``level``, mean and variance of its log; Student t with 4 degrees of freedom).
+    """
     at = float(np.log(max(chi2, 1e-3)))
     laws = np.array([prior.LOG_CHI2, prior.LOG_CHI2_UNLIKE])
     away = (at - laws[:, 0]) / laws[:, 1]
     away = np.array([max(away[0], 0.0), min(away[1], 0.0)])  # better is no less this body's, worse no less another's
-    return np.asarray(-0.5 * away**2 - np.log(laws[:, 1]))
+    fits, unlike = -0.5 * away**2 - np.log(laws[:, 1])
+    variance = level[1] + prior.LOG_CHI2_JITTER**2
+    usual = -2.5 * np.log1p(max(at - level[0], 0.0) ** 2 / (4 * variance)) - 0.5 * np.log(variance)
+    rise, sigma = prior.LOG_CHI2_DISTURBED
+    sigma = float(np.hypot(sigma, np.sqrt(level[1])))
+    disturbed = -0.5 * min((at - level[0] - rise) / sigma, 0.0) ** 2 - np.log(sigma)
+    return np.array([fits, max(unlike, fits + disturbed - usual)])
 
 
-def missed(searches: int) -> float:
-    """Probability that the truth was met by none of so many searches that found nothing better."""
+def usual_chi2(before: Array | None = None, chi2: float = 1.0, fits: float = 0.0) -> Array:
+    """(2,) mean and variance of the log of what a body leaves over, after a frame that it fits so probably.
+
+    The update of a Student t: what lies far off says little of the level. None: nothing was seen of it.
+    """
+    if before is None:
+        return np.array([prior.LOG_CHI2[0], prior.LOG_CHI2[1] ** 2])
+    mean, variance = before
+    if fits >= 0.5:
+        away, wide = float(np.log(max(chi2, 1e-3))) - mean, variance + prior.LOG_CHI2_JITTER**2
+        gain = variance / wide * min(5 / (4 + away**2 / wide), 1.0)
+        mean, variance = mean + gain * away, (1 - gain) * variance
+    return np.array([mean, variance + prior.LOG_CHI2_DRIFT**2])
+
+
+def missed(searches: int, misses: int = 0) -> float:
+    """Probability that the truth was met by none of so many searches that found nothing better.
+
+    ``misses``: searches that are known to have missed it, since a later one did better.
+    """
     a, b = prior.SEARCH_FINDS
-    return float(np.exp(betaln(a, b + searches) - betaln(a, b)))
+    return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
 
 
 def goodness(hill: Hill, fit: Fit) -> Goodness:

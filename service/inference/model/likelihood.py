@@ -104,7 +104,7 @@ class Terms:
 
     scene: Scene
     offset: Images  # (Q - 1,)
-    mean: Images
+    mean: Images  # (U,), or (N, U): of each pose its own
     precision: Images
     data: Images
     full: NDArray[np.bool_]
@@ -174,6 +174,7 @@ class Fit:
     deviation: Array  # (M,) of the unknowns from their prior means
     normal: Array  # (M, M) curvature of the log posterior by the unknowns
     pull: Array  # (M,) its slope
+    lit: NDArray[np.intp]  # numbers of the positive planes that show light: the first of the M
 
 
 def t_log_density(residual: Images, variance: Images) -> Images:
@@ -198,10 +199,10 @@ def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS)
     fit = unknowns.result()
     gain = float(np.exp(unknowns.value[len(lit)]))
     coefficients = np.empty(len(planes), np.float32)
-    coefficients[positive] = gain * np.exp(terms.offset)
+    coefficients[positive] = gain * np.exp(terms.offset + terms.mean[: len(positive)])
     coefficients[positive[lit]] *= np.exp(unknowns.value[: len(lit)]).astype(np.float32)
     coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
-    return replace(fit, coefficients=coefficients)
+    return replace(fit, coefficients=coefficients, lit=lit)
 
 
 class _Unknowns:
@@ -224,7 +225,7 @@ class _Unknowns:
 
     def _start_gain(self) -> None:
         """Least squares for one albedo: everything else follows from there."""
-        whole = self._whole(np.exp(self._offset), self.value[self._n + 1])
+        whole = self._whole(np.exp(self._offset + self._mean[: self._n]), self.value[self._n + 1])
         power, likeness = float(np.sum(whole * whole)), float(np.sum(whole * self._terms.data))
         if power > 0 and likeness > 0:
             self.value[self._n] = np.clip(log(likeness / power), self._terms.gain - 4, self._terms.gain + 4)
@@ -284,8 +285,8 @@ class _Unknowns:
         evidence -= 0.5 * float(np.sum(self._precision * deviation**2)) + 0.5 * logdet
         body = light**2 > terms.noise / terms.area
         chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0
-        nothing = np.empty(0, np.float32)
+        nothing, unlit = np.empty(0, np.float32), np.empty(0, np.intp)
         maps = residual, weight, model, light, columns
         pull = flat @ (weight * residual).ravel().astype(np.float64) - self._precision * deviation
         curvature = normal + np.diag(self._precision)
-        return Fit(evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull)
+        return Fit(evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull, unlit)

@@ -8,6 +8,7 @@ import numpy as np
 
 from service.inference.model import prior
 from service.inference.model.likelihood import Images, terms_of
+from service.inference.model.paint import painted
 from service.inference.model.spread import PointSpread
 from service.inference.numerics.gauss_newton import Hill
 from service.inference.state import Array, Poses
@@ -75,10 +76,13 @@ def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> 
     return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
 
 
-def nudged(hill: Hill, planes: Images, log_evidence: float, now: Nuisance, turn: int) -> Nuisance:
+def nudged(
+    hill: Hill, planes: Images, log_evidence: float, now: Nuisance, turn: int, paint: Array | None = None
+) -> Nuisance:
     """One of the three held against a neighbour on its grid: the air changes within a pass, and a look costs little.
 
-    ``planes`` (1, Q, S, S) of the best pose, whose evidence under ``now`` is ``log_evidence``; ``turn`` counts frames.
+    ``planes`` (1, Q, S, S) of the best pose, whose evidence under ``now`` is ``log_evidence``; ``turn`` counts frames,
+    ``paint`` (2, P) is what it was expected to have.
     """
     if turn % 3 == 2:
         other = replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn))
@@ -93,6 +97,7 @@ def nudged(hill: Hill, planes: Images, log_evidence: float, now: Nuisance, turn:
         low_pass=hill.scene.smoothing,
     )
     terms = terms_of(scene, hill.drawing.n_groups, planes.shape[1])
+    terms = terms if paint is None else painted(terms, paint[None])
     found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence
     return other if float(found[0]) + log_prior(other) > log_evidence + log_prior(now) else now
 

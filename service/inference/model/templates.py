@@ -70,7 +70,7 @@ def drawn_joints(articulation: Articulation, count: int) -> Array:
 
 def lit_moments(light: Images) -> tuple[Array, Array]:
     """(N, S, S) -> centres (N, 2) x, y in px (outer corners) and root mean square radii (N,) of what is lit."""
-    top = np.quantile(light.reshape(len(light), -1), 0.99, axis=1)
+    top = brighter(light)
     lit = light > np.maximum(_LIT * top, 1e-6)[:, None, None]
     at = np.arange(light.shape[-1]) + 0.5
     total = np.maximum(lit.sum(axis=(1, 2)), 1)
@@ -84,17 +84,27 @@ def normalised(pictures: Images) -> Images:
     """(N, S, S) -> (N, S * S) with zero mean and unit length; a flat picture becomes zeros."""
     flat = pictures.reshape(len(pictures), -1)
     flat = flat - flat.mean(axis=1, keepdims=True)
-    length = np.linalg.norm(flat, axis=1, keepdims=True)
-    return np.asarray(np.where(length > 1e-6, flat / np.maximum(length, 1e-6), 0.0), np.float32)
+    length = np.sqrt(np.einsum("nk,nk->n", flat, flat))[:, None]
+    flat *= np.where(length > 1e-6, 1 / np.maximum(length, 1e-6), 0.0)
+    return np.asarray(flat, np.float32)
 
 
-def kinds_of(light: Images, outline: Images) -> Images:
-    """(N, S, S) light and outline -> (kinds, N, S * S)."""
-    top = np.maximum(np.quantile(light.reshape(len(light), -1), 0.99, axis=1), 1e-6)[:, None, None]
-    scaled = np.clip(light / top, 0, 1.5).astype(np.float32)
+def brighter(light: Images) -> Images:
+    """(N,) what a hundredth of each picture's pixels exceed."""
+    flat = light.reshape(len(light), -1)
+    rank = round(0.99 * (flat.shape[1] - 1))
+    return np.asarray(np.partition(flat, rank, axis=1)[:, rank], np.float32)
+
+
+def kinds_of(light: Images, outline: Images, out: Images | None = None) -> Images:
+    """(N, S, S) light and outline -> (kinds, N, S * S), into ``out`` where it is given."""
+    out = np.empty((len(KINDS), len(light), light[0].size), np.float32) if out is None else out
+    scaled = np.clip(light / np.maximum(brighter(light), 1e-6)[:, None, None], 0, 1.5).astype(np.float32)
     root = np.sqrt(scaled)
     lit = np.clip((scaled - _LIT) * 8 + 0.5, 0, 1)
-    return np.stack([normalised(_soft(p)) for p in (scaled, root, lit, _edges(root), outline)])
+    for picture, kind in zip((scaled, root, lit, _edges(root), outline), out, strict=True):
+        kind[:] = normalised(_soft(picture))
+    return out
 
 
 def _edges(images: Images) -> Images:

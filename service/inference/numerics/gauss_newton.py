@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from service.inference.model.derivatives import across, derivatives
 from service.inference.model.drawing import FINE, Drawing, Quality, View
 from service.inference.model.likelihood import ROUNDS, Fit, Scene, terms_of
+from service.inference.model.paint import painted
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
@@ -21,7 +22,7 @@ from service.inference.state import Array, Poses
 _ENOUGH = 0.1  # nats: a step that gains less is the last
 _ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
 _SHORTER = 0.3  # of a step that did not climb
-_DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull")
+_DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull", "lit")
 
 
 @dataclass(frozen=True)
@@ -83,10 +84,10 @@ def ascend(
         if not len(at):
             break
         systems = _systems(hill, poses[at], suns[at], [fits[k] for k in at], believed, at)
-        for k, (curvature, _) in zip(at, systems, strict=True):
+        for k, (_, _, curvature) in zip(at, systems, strict=True):
             curvatures[k] = curvature
         damping = _damping(hill, poses[at])
-        moves = np.array([np.linalg.solve(c + np.diag(d), p) for (c, p), d in zip(systems, damping, strict=True)])
+        moves = np.array([np.linalg.solve(c + np.diag(d), p) for (c, p, _), d in zip(systems, damping, strict=True)])
         before = scores[at].copy()
         for share in (1.0, _SHORTER):
             left = at[scores[at] <= before] if share < 1 else at
@@ -103,7 +104,7 @@ def ascend(
                 fits[left[k]] = trial_fits[k]
         going[at] = scores[at] > before + _ENOUGH
     if covariance == "exact":
-        curvatures = [c for c, _ in _systems(hill, poses, suns, fits, believed, np.arange(len(poses)))]
+        curvatures = [c for _, _, c in _systems(hill, poses, suns, fits, believed, np.arange(len(poses)))]
     spreads = [c if covariance == "none" else _inverse(c)[:d, :d] for c in curvatures]
     return [Refined(poses[k : k + 1], suns[k], fits[k], float(scores[k]), spreads[k]) for k in range(len(poses))]
 
@@ -123,6 +124,8 @@ def _look(
     """The light of each pose, and its log posterior; ``at``: their numbers among what is believed."""
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
     terms = terms_of(hill.scene, hill.drawing.n_groups, planes.shape[1])
+    if believed is not None and at is not None:
+        terms = painted(terms, believed.paint[at])
     found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, hill.rounds)
     fits = [
         Fit(float(e), float(x), c, *(getattr(more, name) for name in _DETAILS))
@@ -148,22 +151,30 @@ def _systems(
     fits: list[Fit],
     believed: Believed | None = None,
     at: NDArray[np.intp] | None = None,
-) -> list[tuple[Array, Array]]:
-    """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated.
+) -> list[tuple[Array, Array, Array]]:
+    """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated; and its curvature if the
+    paint were unknown: learnt from poses that erred as this one does, it makes none of them surer.
 
     D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
     """
     slopes = _slopes(hill, poses, suns, fits)
-    found = [_system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k]) for k in range(len(poses))]
+    known = None if believed is None or at is None else believed.paint[at, 1]
+    found = [
+        _system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k], None if known is None else known[k])
+        for k in range(len(poses))
+    ]
     if believed is not None and at is not None:
         towards, d = -believed.away(poses, at), believed.precision.shape[1]
-        for (normal, pull), precision, away in zip(found, believed.precision[at], towards, strict=True):
+        for (normal, pull, unpainted), precision, away in zip(found, believed.precision[at], towards, strict=True):
             normal[:d, :d] += precision
+            unpainted[:d, :d] += precision
             pull[:d] += precision @ away
     return found
 
 
-def _system(hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32]) -> tuple[Array, Array]:
+def _system(
+    hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32], known: Array | None
+) -> tuple[Array, Array, Array]:
     flat = slopes.reshape(len(slopes), -1)
     weighted = flat * fit.weight.ravel()
     normal = (weighted @ flat.T).astype(np.float64)
@@ -172,7 +183,12 @@ def _system(hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.fl
     _add_prior(hill, normal, pull, pose, sun)
     inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))
     d = len(slopes)
-    return normal - cross.T @ inner[:, :d], pull - cross.T @ inner[:, d]
+    curvature, slope = normal - cross.T @ inner[:, :d], pull - cross.T @ inner[:, d]
+    if known is None:
+        return curvature, slope, curvature.copy()
+    free = fit.normal.copy()
+    free[range(len(fit.lit)), range(len(fit.lit))] -= known[fit.lit]
+    return curvature, slope, normal - cross.T @ np.linalg.solve(free, cross)
 
 
 def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) -> None:

@@ -23,11 +23,12 @@ class PosePrior:
 
 @dataclass(frozen=True)
 class Believed:
-    """What earlier frames say of each of N poses: Gaussians in the tangent space of their means."""
+    """What earlier frames say of each of N poses, Gaussians in the tangent space of their means, and of its paint."""
 
     means: Poses
     precision: Array  # (N, 6 + J, 6 + J)
     wrapping: NDArray[np.bool_]  # (J,) joints that turn all the way round
+    paint: Array  # (N, 2, P) see ``model.paint``
 
     def away(self, poses: Poses, at: NDArray[np.intp]) -> Array:
         """(n, 6 + J) from the means to the poses that are numbered ``at``; turning joints the short way round."""

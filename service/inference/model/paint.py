@@ -1,0 +1,52 @@
+"""What a mode has learnt of its body's paint (docs/model.md, section 5): log albedo and gloss of the surface groups.
+
+Over their shares of the gain, which stays free in every frame: air and eye change it, not the paint. An array (2, P)
+holds for P planes what frames have said beside the prior: its mean, and its information (one over a variance).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from service.inference.model import prior
+from service.inference.model.likelihood import Fit, Terms
+from service.inference.state import Array
+
+
+def unlearnt(n_planes: int) -> Array:
+    """(2, P) of a body of which nothing is known, its drawings of Q = P + 1 planes."""
+    return np.zeros((2, n_planes - 1))
+
+
+def expected(paint: Array) -> Array:
+    """(..., 2, P) ahead of a frame: turning surfaces are no matt ones, so what was learnt wears off."""
+    out = paint.copy()
+    out[..., 1, :] = paint[..., 1, :] / (1 + paint[..., 1, :] * prior.PAINT_DRIFT**2)
+    return out
+
+
+def painted(terms: Terms, paint: Array) -> Terms:
+    """The terms of N poses, each with its own (N, 2, P) beside the prior."""
+    n, _, p = paint.shape
+    mean, precision = (np.tile(one, (n, 1)) for one in (terms.mean, terms.precision))
+    precision[:, :p] += paint[:, 1]
+    mean[:, :p] = paint[:, 0] * paint[:, 1] / precision[:, :p]  # the prior's own mean is zero
+    return replace(terms, mean=mean.astype(np.float32), precision=precision.astype(np.float32))
+
+
+def learnt(fit: Fit, before: Array) -> Array:
+    """(2, P) after a frame that ``fit`` explains, from what was expected: its evidence, and part of the older.
+
+    Given the gain, so that what all planes share does not blur what tells them apart.
+    """
+    out, lit, n = before.copy(), fit.lit, len(fit.lit)
+    kept = np.delete(np.arange(len(fit.normal)), n)
+    variance = np.diag(np.linalg.inv(fit.normal[np.ix_(kept, kept)]))[:n]
+    own = fit.precision[:n] - before[1, lit]  # the prior's
+    mean = before[0, lit] * before[1, lit] / fit.precision[:n] + fit.deviation[:n]
+    total = np.maximum(1 / variance - own, before[1, lit])
+    out[0, lit] = np.where(total > 0, mean / np.maximum(total * variance, 1e-12), 0.0)
+    out[1, lit] = total - (1 - prior.MEMORY_KEPT) * before[1, lit]
+    return out
