@@ -10,29 +10,25 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.inference.estimate import tangent
 from service.inference.filters.answer import drawn, estimate_of, unseen
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.status import status_of, told_existence
+from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.model import existence, paint, prior
-from service.inference.model.drawing import Images, Quality
-from service.inference.model.dynamics import corrected, new_born, predicted
-from service.inference.model.existence import evidence_at
-from service.inference.model.nuisance import Nuisance, log_prior, nudged
+from service.inference.model.drawing import Quality
+from service.inference.model.dynamics import predicted
+from service.inference.model.nuisance import Nuisance
 from service.inference.model.search import Found, search
 from service.inference.model.stages import Stage, stage_hill
 from service.inference.motion import RateFilter, rate_filter
 from service.inference.numerics.gauss_newton import Hill, Refined, Trust, ascend, within
 from service.inference.numerics.priors import Believed
-from service.inference.pose import angle_between, concatenate, retract
+from service.inference.pose import concatenate, retract
 from service.inference.state import Estimate, FilterState, Mixture
 
 FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as fine as a track is followed
 LEADER_STEPS, OTHERS_STEPS = 2, 1
-_MOST = 6  # modes
 _LEAST = 1e-3  # probability below which a mode is dropped
-_SAME_DEG = 2.5
-_SAME_JOINT_SIGMAS = 3.0
 _EAGER = 3  # searches of a leader, one frame after the other
 _RARER, _RAREST = 3, 100  # each search that could not better the leader makes the next so much rarer; frames
 
@@ -125,95 +121,9 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_]) -> 
     return ascend(hill, poses, ahead.suns, steps=steps, covariance="last", believed=believed)
 
 
-def weigh(
-    refined: list[Refined],
-    ahead: Predicted | None,
-    found: Found | None,
-    hill: Hill,
-    noise: RateFilter,
-    nuisance: Nuisance,
-    given: Given,
-    before: Mixture | None,
-) -> Updated:
-    """Evidence of each mode, of newborn ones beside them, and of the three hypotheses."""
-    rates, covariances, weights, flat, occams = [], [], [], [], []
-    for k, one in enumerate(refined):
-        assert ahead is not None, "modes that are followed were predicted"
-        d = ahead.rates.shape[1]
-        wide = ahead.covariance[k][:d, :d]
-        shift = tangent(ahead.poses[k : k + 1], one.pose, given.domain.wrapping)[0]
-        rate, covariance = corrected(ahead.rates[k], ahead.covariance[k], shift, one.covariance)
-        occam = 0.5 * (np.linalg.slogdet(one.covariance)[1] - np.linalg.slogdet(wide)[1])
-        occams.append(occam - 0.5 * float(shift @ np.linalg.solve(wide, shift)))
-        rates.append(rate)
-        covariances.append(covariance)
-        weights.append(ahead.log_weights[k] + prior.EVIDENCE_TRUST * (one.log_posterior + occam))
-        flat.append(_flat(one, -0.5 * float(shift @ np.linalg.solve(wide, shift))))
-    born = newborn(refined, found)
-    start = existence.expected(None, 0.0) if ahead is None else ahead.existence
-    lead = int(np.argmax(weights)) if weights else -1
-    level = 0.0  # weight of evidence in this frame alone
-    if born and lead >= 0:
-        afresh = evidence_at(hill, hill.scene, planes_of(refined[lead], hill)) - refined[lead].fit.log_evidence
-        level = weights[lead] - prior.EVIDENCE_TRUST * (flat[lead] + afresh) + float(np.log(prior.BIRTH))
-    for one in born:
-        rates.append(np.zeros(len(one.covariance)))
-        covariances.append(new_born(one.covariance, noise))
-        d = len(one.covariance)
-        occams.append(
-            0.5 * float(np.linalg.slogdet(one.covariance)[1])
-            + 0.5 * d * float(np.log(2 * np.pi))
-            - given.domain.log_volume
-        )
-        weights.append(prior.EVIDENCE_TRUST * _flat(one, 0.0) + level)
-    everybody = [*refined, *born]
-    log_weights = np.array(weights)
-    lead = int(np.argmax(log_weights))
-    best = everybody[lead]
-    planes = planes_of(best, hill)
-    light = existence.log_light(hill, best.fit)
-    fits = (
-        best.fit.log_evidence
-        + occams[lead]
-        + log_prior(nuisance)
-        + existence.log_of_change(None if before is None else before.log_light, light)
-    )
-    unlike = existence.log_unlike(hill, planes) + occams[lead]
-    logs = np.log(np.maximum(start, 1e-9)) + np.array([existence.log_absent(hill), fits, max(fits, unlike)])
-    usual = existence.usual_chi2() if before is None else before.log_chi2
-    logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(best.fit.chi2, usual)
-    probabilities = np.exp(logs - np.logaddexp.reduce(logs))
-    known = [*([] if ahead is None else ahead.paint), *[paint.unlearnt(planes.shape[1])] * len(born)]
-    nuisance = nudged(hill, planes, best.fit.log_evidence, nuisance, given.index, known[lead])
-    return Updated(
-        refined=everybody,
-        rates=np.array(rates),
-        covariance=np.array(covariances),
-        paint=np.stack([paint.learnt(one.fit, before) for one, before in zip(everybody, known, strict=True)]),
-        log_weights=log_weights,
-        existence=probabilities,
-        nuisance=nuisance,
-        log_light=light,
-        log_chi2=existence.usual_chi2(usual, best.fit.chi2, probabilities[existence.FITS]),
-        is_new=lead >= len(refined),
-    )
-
-
-def planes_of(one: Refined, hill: Hill) -> Images:
-    """(1, Q, S, S) pictures of a mode."""
-    return hill.drawing.planes(one.pose, one.sun, hill.view, hill.quality)
-
-
 def missed_by(before: Mixture, updated: Updated) -> bool:
     """Whether earlier searches are now known to have missed the truth; what was out of sight may be anywhere."""
     return updated.is_new and bool(before.existence[existence.ABSENT] < 0.5)
-
-
-def newborn(refined: list[Refined], found: Found | None) -> list[Refined]:
-    """Basins of a search that no mode holds already."""
-    if found is None:
-        return []
-    return [one for one in found.basins[:_MOST] if not any(_same(one, other) for other in refined)]
 
 
 def prune(updated: Updated, before: Mixture | None, found: Found | None, given: Given, hill: Hill) -> Mixture:
@@ -221,10 +131,10 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
     log_weights = updated.log_weights - np.logaddexp.reduce(updated.log_weights)
     kept: list[int] = []
     for k in np.argsort(-log_weights):
-        same = [j for j in kept if _same(updated.refined[k], updated.refined[j])]
+        same = [j for j in kept if same_mode(updated.refined[k], updated.refined[j])]
         if same:
             log_weights[same[0]] = np.logaddexp(log_weights[same[0]], log_weights[k])
-        elif len(kept) < _MOST and log_weights[k] > np.log(_LEAST):
+        elif len(kept) < MOST_MODES and log_weights[k] > np.log(_LEAST):
             kept.append(int(k))
     chosen = log_weights[kept] - np.logaddexp.reduce(log_weights[kept])
     mixture = Mixture(
@@ -261,17 +171,3 @@ def concluded(
     count = len(poses)
     even = np.full(count, -np.log(count))
     return FilterState(poses, even, rates, given.index, given.time_s, status, {}, after), estimate
-
-
-def _flat(one: Refined, believed: float) -> float:
-    """Log evidence of a mode when nothing was expected of its pose."""
-    return one.log_posterior - believed + 0.5 * float(np.linalg.slogdet(one.covariance)[1])
-
-
-def _same(one: Refined, other: Refined) -> bool:
-    """Whether two modes are one."""
-    if float(np.rad2deg(angle_between(one.pose.quaternion, other.pose.quaternion)[0])) > _SAME_DEG:
-        return False
-    apart = (one.pose.joints - other.pose.joints)[0]
-    wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
-    return bool(np.all(np.abs(apart) <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))

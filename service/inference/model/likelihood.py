@@ -200,7 +200,7 @@ def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS)
     gain = float(np.exp(unknowns.value[len(lit)]))
     coefficients = np.empty(len(planes), np.float32)
     coefficients[positive] = gain * np.exp(terms.offset + terms.mean[: len(positive)])
-    coefficients[positive[lit]] *= np.exp(unknowns.value[: len(lit)]).astype(np.float32)
+    coefficients[positive[lit]] = gain * np.exp(terms.offset[lit] + unknowns.value[: len(lit)])
     coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
     return replace(fit, coefficients=coefficients, lit=lit)
 

@@ -17,6 +17,7 @@ from service.inference.filters.mixture import search_due, step
 from service.inference.filters.status import SURE, status_of, told_existence
 from service.inference.model import search as searching
 from service.inference.model.drawing import View
+from service.inference.model.existence import usual_chi2
 from service.inference.model.search import make_bank
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import Body
@@ -153,25 +154,28 @@ def test_another_body_does_not_fit():
     assert statuses[-1] in ("no_fit", "ambiguous", "acquiring")
 
 
-def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False) -> Mixture:
+def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False, misses=0) -> Mixture:
     n = len(weights)
     turn = np.zeros((n, 6))
     turn[:, 0] = np.arange(n)
     poses = retract(truth(0)[np.zeros(n, dtype=int)], turn)
     return Mixture(
-        poses,
-        np.zeros((n, 6)),
-        np.tile(1e-4 * np.eye(12), (n, 1, 1)),
-        np.tile(SUN, (n, 1)),
-        np.log(np.array(weights)),
-        np.array(existence),
-        np.array([1.2, 0.0]),
-        0.04,
-        8.0,
-        40.0,
-        ever,
-        searches,
-        0,
+        poses=poses,
+        rates=np.zeros((n, 6)),
+        covariance=np.tile(1e-4 * np.eye(12), (n, 1, 1)),
+        suns=np.tile(SUN, (n, 1)),
+        paint=np.zeros((n, 2, 6)),
+        log_weights=np.log(np.array(weights)),
+        existence=np.array(existence),
+        point_spread=np.array([1.2, 0.0]),
+        discrepancy=0.04,
+        log_chi2=usual_chi2(),
+        log_light=8.0,
+        span_px=40.0,
+        ever_tracked=ever,
+        searches=searches,
+        misses=misses,
+        since_search=0,
     )
 
 
@@ -181,6 +185,7 @@ def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False) -
         (mixture(), "tracking"),
         (mixture(searches=1), "acquiring"),
         (mixture((0.6, 0.4)), "acquiring"),
+        (mixture(searches=3, misses=4, ever=True), "ambiguous"),
         (mixture((0.6, 0.4), ever=True), "ambiguous"),
         (mixture(existence=(0.0, 0.2, 0.8)), "no_fit"),
         (mixture(existence=(0.0, 0.2, 0.8), ever=True), "lost"),
@@ -195,6 +200,13 @@ def test_status_is_read_off_the_probabilities(held, status):
 def test_a_track_that_no_search_could_better_is_searched_ever_more_seldom():
     due = [search_due(replace(mixture(searches=n), since_search=k)) for n in (1, 3, 4, 5) for k in (0, 1, 2, 8)]
     assert due == [True] * 4 + [False, False, True, True] + [False, False, False, True] + [False] * 4
+
+
+def test_what_searches_have_missed_before_and_what_fits_no_more_is_searched_more_often():
+    missed = [search_due(replace(mixture(searches=5, misses=m), since_search=k)) for m in (2, 3) for k in (1, 2)]
+    assert missed == [False, False, False, True]
+    gone = mixture(existence=(0.0, 0.2, 0.8), searches=30)
+    assert [search_due(replace(gone, since_search=k)) for k in (0, 1, 2)] == [False, False, True]
 
 
 def test_particles_have_their_modes_shares():

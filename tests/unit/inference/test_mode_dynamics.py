@@ -70,10 +70,13 @@ def test_existence_forgets():
     assert existence.expected(seen, 3.0).sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("searches", [0, 1, 2, 5])
-def test_the_truth_is_missed_as_often_as_the_beta_law_says(searches):
+@pytest.mark.parametrize(("searches", "misses"), [(0, 0), (1, 0), (2, 0), (5, 0), (2, 1), (3, 4)])
+def test_the_truth_is_missed_as_often_as_the_beta_law_says(searches, misses):
+    """What searches have missed before is part of the law: here by weights."""
     finds = beta(*prior.SEARCH_FINDS).rvs(400_000, random_state=searches)
-    assert existence.missed(searches) == pytest.approx(np.mean((1 - finds) ** searches), abs=3e-3)
+    weight = (1 - finds) ** misses
+    wanted = np.sum(weight * (1 - finds) ** searches) / np.sum(weight)
+    assert existence.missed(searches, misses) == pytest.approx(wanted, abs=5e-3)
 
 
 def test_a_joint_that_turns_all_the_way_is_expected_the_short_way_round():
@@ -81,11 +84,38 @@ def test_a_joint_that_turns_all_the_way_is_expected_the_short_way_round():
         return Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 2)), np.zeros(1), np.array([[value]]))
 
     first = np.zeros(1, dtype=np.intp)
-    turning, stopped = (Believed(panel(179.0), np.eye(7)[None], np.array([wraps])) for wraps in (True, False))
+    turning, stopped = (
+        Believed(panel(179.0), np.eye(7)[None], np.array([wraps]), np.zeros((1, 2, 6))) for wraps in (True, False)
+    )
     assert turning.log_density(panel(-179.0), first) == pytest.approx(-2.0)
     assert stopped.log_density(panel(-179.0), first) == pytest.approx(-0.5 * 358**2)
 
 
+def left_over(values) -> np.ndarray:
+    """The usual level after frames of a body that fits."""
+    level = existence.usual_chi2()
+    for chi2 in values:
+        level = existence.usual_chi2(level, chi2, 1.0)
+    return level
+
+
 def test_what_is_left_over_tells_this_body_from_another():
-    ratios = [np.subtract(*existence.log_chi2_densities(chi2)) for chi2 in (0.0, 0.5, 2.0, 10.0, 50.0, 1e6)]
+    level = existence.usual_chi2()
+    ratios = [np.subtract(*existence.log_chi2_densities(chi2, level)) for chi2 in (0.0, 0.5, 2.0, 10.0, 50.0, 1e6)]
     assert ratios == sorted(ratios, reverse=True) and ratios[1] > 1.0 and ratios[-2] < -5.0
+
+
+def test_a_body_that_left_little_over_is_disturbed_by_what_is_usual_for_another():
+    """Sevenfold is a cloud where frames scatter by a third; where so much is usual, it says nothing."""
+    clean, rough = (left_over([level * f for f in (1.0, 1.3, 0.8, 1.1)]) for level in (0.3, 2.1))
+    assert np.subtract(*existence.log_chi2_densities(2.1, clean)) < -1.5
+    assert np.subtract(*existence.log_chi2_densities(2.1, rough)) > -0.5
+    assert np.subtract(*existence.log_chi2_densities(0.35, clean)) > 1.0
+
+
+def test_a_level_is_learnt_from_frames_that_fit_and_outliers_move_it_little():
+    level = left_over([0.3] * 6)
+    assert np.exp(level[0]) == pytest.approx(0.3, rel=0.2) and level[1] < 0.1
+    assert existence.usual_chi2(level, 9.0, 0.1)[0] == level[0]
+    moved = existence.usual_chi2(level, 9.0, 0.9)[0] - level[0]
+    assert 0 < moved < 0.1

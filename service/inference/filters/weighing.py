@@ -1,0 +1,146 @@
+"""Evidence of modes that were followed, of newborn ones, and of the three hypotheses (docs/model.md, 5 and 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.domain import Domain
+from service.inference.estimate import tangent
+from service.inference.filters.given import Given, Predicted, Updated
+from service.inference.model import existence, paint, prior
+from service.inference.model.drawing import Images
+from service.inference.model.dynamics import corrected, new_born
+from service.inference.model.existence import evidence_at
+from service.inference.model.nuisance import Nuisance, log_prior, nudged
+from service.inference.model.search import Found
+from service.inference.motion import RateFilter
+from service.inference.numerics.gauss_newton import Hill, Refined
+from service.inference.pose import angle_between
+from service.inference.state import Array, Mixture
+
+MOST_MODES = 6
+_SAME_DEG = 2.5
+_SAME_JOINT_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """One mode after a frame."""
+
+    one: Refined
+    rates: Array
+    covariance: Array  # (2d, 2d)
+    log_weight: float
+    occam: float  # log of the share of its prior that the frame leaves
+    alone: float  # log evidence of this frame, as if nothing had been expected of its pose
+    paint: Array  # (2, P) that was expected
+
+
+def weigh(
+    refined: list[Refined],
+    ahead: Predicted | None,
+    found: Found | None,
+    hill: Hill,
+    noise: RateFilter,
+    nuisance: Nuisance,
+    given: Given,
+    before: Mixture | None,
+) -> Updated:
+    """All modes with what the frame says of them, and of whether any of them is true."""
+    modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
+    level = 0.0  # weight of evidence in this frame alone
+    new = newborn(refined, found)
+    if new and modes:
+        lead = max(modes, key=lambda mode: mode.log_weight)
+        afresh = evidence_at(hill, hill.scene, planes_of(lead.one, hill)) - lead.one.fit.log_evidence
+        level = lead.log_weight - prior.EVIDENCE_TRUST * (lead.alone + afresh) + float(np.log(prior.BIRTH))
+    modes += [born(one, level, noise, given.domain) for one in new]
+    lead_number = int(np.argmax([mode.log_weight for mode in modes]))
+    best = modes[lead_number]
+    planes = planes_of(best.one, hill)
+    light = existence.log_light(hill, best.one.fit)
+    known = existence.usual_chi2() if before is None else before.log_chi2
+    probabilities = hypotheses(best, hill, planes, nuisance, light, known, ahead, before)
+    return Updated(
+        refined=[mode.one for mode in modes],
+        rates=np.array([mode.rates for mode in modes]),
+        covariance=np.array([mode.covariance for mode in modes]),
+        paint=np.stack([paint.learnt(mode.one.fit, mode.paint) for mode in modes]),
+        log_weights=np.array([mode.log_weight for mode in modes]),
+        existence=probabilities,
+        nuisance=nudged(hill, planes, best.one.fit.log_evidence, nuisance, given.index, best.paint),
+        log_chi2=existence.usual_chi2(known, best.one.fit.chi2, float(probabilities[existence.FITS])),
+        log_light=light,
+        is_new=lead_number >= len(refined),
+    )
+
+
+def followed(k: int, one: Refined, ahead: Predicted, domain: Domain) -> Weighed:
+    """A mode that was expected: a power of its evidence, and of the share of its prior that the frame leaves."""
+    d = ahead.rates.shape[1]
+    wide = ahead.covariance[k][:d, :d]
+    shift = tangent(ahead.poses[k : k + 1], one.pose, domain.wrapping)[0]
+    rates, covariance = corrected(ahead.rates[k], ahead.covariance[k], shift, one.covariance)
+    narrowed = 0.5 * float(np.linalg.slogdet(one.covariance)[1] - np.linalg.slogdet(wide)[1])
+    away = -0.5 * float(shift @ np.linalg.solve(wide, shift))
+    weight = float(ahead.log_weights[k]) + prior.EVIDENCE_TRUST * (one.log_posterior + narrowed)
+    return Weighed(one, rates, covariance, weight, narrowed + away, _alone(one) - away, ahead.paint[k])
+
+
+def born(one: Refined, level: float, noise: RateFilter, domain: Domain) -> Weighed:
+    """A basin of a search: it might have been anywhere."""
+    d = len(one.covariance)
+    share = 0.5 * float(np.linalg.slogdet(one.covariance)[1]) + 0.5 * d * float(np.log(2 * np.pi)) - domain.log_volume
+    alone = _alone(one)
+    unlearnt = paint.unlearnt(len(one.fit.coefficients))
+    weight = prior.EVIDENCE_TRUST * alone + level
+    return Weighed(one, np.zeros(d), new_born(one.covariance, noise), weight, share, alone, unlearnt)
+
+
+def hypotheses(
+    best: Weighed,
+    hill: Hill,
+    planes: Images,
+    nuisance: Nuisance,
+    light: float,
+    usual_chi2: Array,
+    ahead: Predicted | None,
+    before: Mixture | None,
+) -> Array:
+    """(3,) probabilities of ``model.existence``, as if the truth were among the modes."""
+    start = existence.expected(None, 0.0) if ahead is None else ahead.existence
+    fit = best.one.fit
+    fits = fit.log_evidence + best.occam + log_prior(nuisance)
+    fits += existence.log_of_change(None if before is None else before.log_light, light)
+    unlike = existence.log_unlike(hill, planes) + best.occam
+    logs = np.log(np.maximum(start, 1e-9)) + np.array([existence.log_absent(hill), fits, max(fits, unlike)])
+    logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(fit.chi2, usual_chi2)
+    return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
+
+
+def newborn(refined: list[Refined], found: Found | None) -> list[Refined]:
+    """Basins of a search that no mode holds already."""
+    if found is None:
+        return []
+    return [one for one in found.basins[:MOST_MODES] if not any(same_mode(one, other) for other in refined)]
+
+
+def planes_of(one: Refined, hill: Hill) -> Images:
+    """(1, Q, S, S) pictures of a mode."""
+    return hill.drawing.planes(one.pose, one.sun, hill.view, hill.quality)
+
+
+def same_mode(one: Refined, other: Refined) -> bool:
+    """Whether two modes are one."""
+    if float(np.rad2deg(angle_between(one.pose.quaternion, other.pose.quaternion)[0])) > _SAME_DEG:
+        return False
+    apart = (one.pose.joints - other.pose.joints)[0]
+    wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
+    return bool(np.all(np.abs(apart) <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))
+
+
+def _alone(one: Refined) -> float:
+    return one.log_posterior + 0.5 * float(np.linalg.slogdet(one.covariance)[1])
