@@ -21,6 +21,7 @@ EDGE_PX = 2.0  # discrepancy of places: mesh and mean pose are so far from right
 POSE_DEGREES_OF_FREEDOM = (
     4.0  # of a pose: c tau^2 is known to a factor of two, and a variance so known gives a Student t
 )
+CHI2_DEGREES_OF_FREEDOM = 4.0  # that a frame's mean square of what is left over adds: it is alike all over a body
 LOW_PASS_SHARE = 0.7  # the frame's own low pass, as a share of the point spread's width
 DEGREES_OF_FREEDOM = 4.0  # of the Student t of a pixel
 EXISTENCE = (0.1, 0.8, 0.1)  # absent, fits, no_fit, before anything is known

@@ -15,6 +15,7 @@ from service.inference.model.derivatives import across, derivatives
 from service.inference.model.drawing import FINE, Drawing, Quality, View
 from service.inference.model.likelihood import ROUNDS, Fit, Scene, terms_of
 from service.inference.model.paint import painted
+from service.inference.model.prior import CHI2_DEGREES_OF_FREEDOM, POSE_DEGREES_OF_FREEDOM
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
@@ -152,8 +153,9 @@ def _systems(
     believed: Believed | None = None,
     at: NDArray[np.intp] | None = None,
 ) -> list[tuple[Array, Array, Array]]:
-    """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated; and its curvature if the
-    paint were unknown: learnt from poses that erred as this one does, it makes none of them surer.
+    """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated; and the curvature of which
+    a spread is stated: with the discrepancy's scale as it is seen, and as if the paint were unknown, since it was
+    learnt from poses that erred as this one does.
 
     D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
     """
@@ -180,15 +182,22 @@ def _system(
     normal = (weighted @ flat.T).astype(np.float64)
     pull = (weighted @ fit.residual.ravel()).astype(np.float64)
     cross = (fit.columns.reshape(len(fit.columns), -1) @ weighted.T).astype(np.float64)
-    _add_prior(hill, normal, pull, pose, sun)
+    prior = np.zeros_like(normal)
+    _add_prior(hill, prior, pull, pose, sun)
     inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))
     d = len(slopes)
-    curvature, slope = normal - cross.T @ inner[:, :d], pull - cross.T @ inner[:, d]
-    if known is None:
-        return curvature, slope, curvature.copy()
+    slope = pull - cross.T @ inner[:, d]
     free = fit.normal.copy()
-    free[range(len(fit.lit)), range(len(fit.lit))] -= known[fit.lit]
-    return curvature, slope, normal - cross.T @ np.linalg.solve(free, cross)
+    if known is not None:
+        free[range(len(fit.lit)), range(len(fit.lit))] -= known[fit.lit]
+    doubted = (normal - cross.T @ np.linalg.solve(free, cross)) / scale_seen(fit.chi2)
+    return normal + prior - cross.T @ inner[:, :d], slope, doubted + prior
+
+
+def scale_seen(chi2: float) -> float:
+    """What is left over says how far the discrepancy is from the one believed: as much as was known of it before."""
+    known, seen = POSE_DEGREES_OF_FREEDOM, CHI2_DEGREES_OF_FREEDOM
+    return (known + seen * chi2) / (known + seen)
 
 
 def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) -> None:
