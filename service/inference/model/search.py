@@ -37,6 +37,7 @@ _SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
 _SAME_DEG = 2.0  # after refinement
 _SHAKEN, _SHAKEN_KEPT, _SHAKEN_RAD = 24, 2, 0.12  # poses around the best, how many climb, how far about they lie
 _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06  # about half a step of the bank's, each axis
+_TRIAL_STEPS, _HOPELESS = 2, 100.0  # of the finest stage; nats behind the best after them: none comes back from there
 _WIDER = 1.3  # so much more must a wider sight span
 _LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
 _TRIED = 60  # basins whose joints and Suns are tried anew
@@ -148,10 +149,14 @@ def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, tol
     some = some[np.arange(min(FINEST.kept, len(some.found)))]
     nuisance = best_discrepancy(hill, some.poses[:1], some.suns[:1], nuisance)
     hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
-    out = ascend(hill, some.poses, some.suns, steps=FINEST.steps)
+    out = ascend(hill, some.poses, some.suns, steps=_TRIAL_STEPS, covariance="none")
+    top = max(one.log_posterior for one in out)
+    out = [one for one in out if one.log_posterior > top - _HOPELESS]
+    poses, suns = concatenate(*[one.pose for one in out]), np.stack([one.sun for one in out])
+    out = ascend(hill, poses, suns, steps=FINEST.steps - _TRIAL_STEPS, covariance="last")
     out.sort(key=lambda one: -one.log_posterior)
     near = shaken(hill, out[0])
-    out += ascend(hill, near.poses, near.suns, steps=FINEST.steps)
+    out += ascend(hill, near.poses, near.suns, steps=FINEST.steps, covariance="last")
     out.sort(key=lambda one: -one.log_posterior)
     kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(_SAME_DEG))
     return Found([out[k] for k in kept], hill, nuisance)
@@ -168,7 +173,8 @@ def shaken(hill: Hill, one: Refined) -> Candidates:
     start = one.pose[np.zeros(_SHAKEN, dtype=np.intp)]
     moved = retract(start, steps)
     moved = replace(moved, joints=within(hill.drawing, moved.joints))
-    around = scored(hill, Candidates(moved, np.tile(one.sun, (_SHAKEN, 1)), np.zeros(_SHAKEN)))
+    rough = replace(hill, quality=CLEAR.quality)  # good enough to choose
+    around = scored(rough, Candidates(moved, np.tile(one.sun, (_SHAKEN, 1)), np.zeros(_SHAKEN)))
     return around[np.arange(_SHAKEN_KEPT)]
 
 
