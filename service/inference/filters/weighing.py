@@ -51,28 +51,31 @@ def weigh(
 ) -> Updated:
     """All modes with what the frame says of them, and of whether any of them is true."""
     modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
-    level = 0.0  # weight of evidence in this frame alone
-    new = newborn(refined, found)
-    if new and modes:
-        lead = max(modes, key=lambda mode: mode.log_weight)
-        afresh = evidence_at(hill, hill.scene, planes_of(lead.one, hill)) - lead.one.fit.log_evidence
-        level = lead.log_weight - prior.EVIDENCE_TRUST * (lead.alone + afresh) + float(np.log(prior.BIRTH))
-    modes += [born(one, level, noise, given.domain) for one in new]
+    lead = max(modes, key=lambda mode: mode.log_weight, default=None)
+    level, afresh = 0.0, -np.inf  # weight of evidence in this frame alone; the leader's, were its paint unknown
+    if lead is not None:
+        planes = planes_of(lead.one, hill)
+        afresh = evidence_at(hill, hill.scene, planes)
+        alone = lead.alone + afresh - lead.one.fit.log_evidence
+        level = lead.log_weight - prior.EVIDENCE_TRUST * alone + float(np.log(prior.BIRTH))
+    modes += [born(one, level, noise, given.domain) for one in newborn(refined, found)]
     lead_number = int(np.argmax([mode.log_weight for mode in modes]))
     best = modes[lead_number]
-    planes = planes_of(best.one, hill)
+    if best is not lead:
+        planes, afresh = planes_of(best.one, hill), best.one.fit.log_evidence
     light = existence.log_light(hill, best.one.fit)
     known = existence.usual_chi2() if before is None else before.log_chi2
-    probabilities = hypotheses(best, hill, planes, nuisance, light, known, ahead, before)
+    probabilities = hypotheses(best, afresh, hill, planes, nuisance, light, known, ahead, before)
+    fits = float(probabilities[existence.FITS])
     return Updated(
         refined=[mode.one for mode in modes],
         rates=np.array([mode.rates for mode in modes]),
         covariance=np.array([mode.covariance for mode in modes]),
-        paint=np.stack([paint.learnt(mode.one.fit, mode.paint) for mode in modes]),
+        paint=np.stack([paint.learnt(mode.one.fit, mode.paint, fits) for mode in modes]),
         log_weights=np.array([mode.log_weight for mode in modes]),
         existence=probabilities,
         nuisance=nudged(hill, planes, best.one.fit.log_evidence, nuisance, given.index, best.paint),
-        log_chi2=existence.usual_chi2(known, best.one.fit.chi2, float(probabilities[existence.FITS])),
+        log_chi2=existence.usual_chi2(known, best.one.fit.chi2, fits),
         log_light=light,
         is_new=lead_number >= len(refined),
     )
@@ -102,6 +105,7 @@ def born(one: Refined, level: float, noise: RateFilter, domain: Domain) -> Weigh
 
 def hypotheses(
     best: Weighed,
+    afresh: float,
     hill: Hill,
     planes: Images,
     nuisance: Nuisance,
@@ -110,13 +114,19 @@ def hypotheses(
     ahead: Predicted | None,
     before: Mixture | None,
 ) -> Array:
-    """(3,) probabilities of ``model.existence``, as if the truth were among the modes."""
+    """(3,) probabilities of ``model.existence``, as if the truth were among the modes.
+
+    ``afresh``: the log evidence of the best mode, were its paint unknown. Light that asks for other paint than the
+    body has is explained by something that is between, or by another body.
+    """
     start = existence.expected(None, 0.0) if ahead is None else ahead.existence
     fit = best.one.fit
-    fits = fit.log_evidence + best.occam + log_prior(nuisance)
-    fits += existence.log_of_change(None if before is None else before.log_light, light)
+    usual = log_prior(nuisance) + existence.log_of_change(None if before is None else before.log_light, light)
+    fits, other_paint = (log + best.occam + usual for log in (fit.log_evidence, afresh))
     unlike = existence.log_unlike(hill, planes) + best.occam
-    logs = np.log(np.maximum(start, 1e-9)) + np.array([existence.log_absent(hill), fits, max(fits, unlike)])
+    logs = np.log(np.maximum(start, 1e-9)) + np.array(
+        [existence.log_absent(hill), fits, max(fits, unlike, other_paint)]
+    )
     logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(fit.chi2, usual_chi2)
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
 

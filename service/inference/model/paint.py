@@ -36,12 +36,16 @@ def painted(terms: Terms, paint: Array) -> Terms:
     return replace(terms, mean=mean.astype(np.float32), precision=precision.astype(np.float32))
 
 
-def learnt(fit: Fit, before: Array) -> Array:
+def learnt(fit: Fit, before: Array, fits: float = 1.0) -> Array:
     """(2, P) after a frame that ``fit`` explains, from what was expected: its evidence, and part of the older.
 
-    Given the gain, so that what all planes share does not blur what tells them apart.
+    Given the gain, so that what all planes share does not blur what tells them apart. Where it is more likely that
+    this is not the body's light (``fits`` below a half) nothing is learnt, and what was known is slowly doubted.
     """
     out, lit, n = before.copy(), fit.lit, len(fit.lit)
+    if fits < 0.5 and before[1].any():
+        out[1] *= prior.PAINT_DOUBTED
+        return out
     kept = np.delete(np.arange(len(fit.normal)), n)
     variance = np.diag(np.linalg.inv(fit.normal[np.ix_(kept, kept)]))[:n]
     own = fit.precision[:n] - before[1, lit]  # the prior's

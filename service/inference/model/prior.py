@@ -36,6 +36,7 @@ EVIDENCE_TRUST = 0.25  # power of evidence from one mode to another: the truth l
 FADES = 0.5  # log of the light's change from one frame to the next: turning panels, glints
 MEMORY_KEPT = 0.4  # of what earlier frames say of a pose: they err where the next one errs
 PAINT_DRIFT = 0.05  # of log albedo, per frame: median change 0.04 between frames of eleven passes
+PAINT_DOUBTED = 0.9  # of what is known of paint stays in a frame that more likely is not of it
 EVIDENCE_KEPT = 0.7  # of what earlier frames say of one mode against another, likewise
 BIRTH = 0.1  # probability that the truth is not among the modes when a search is made
 GAIN_SIGMA = 2.0  # of log gain about what the frame's light suggests: as good as flat
