@@ -64,6 +64,7 @@ class Mixture:
     rates: Array  # (K, d)
     covariance: Array  # (K, 2d, 2d) scale of (pose in the tangent space, rates)
     suns: Array  # (K, 3) towards the Sun, unit
+    sun_sigmas: Array  # (K,) rad, each axis across it
     paint: Array  # (K, 2, P) what each has learnt of the surfaces: see ``model.paint``
     log_weights: Array  # (K,) of probabilities given that the model fits
     existence: Array  # (3,) probabilities: absent, fits, no_fit

@@ -22,8 +22,8 @@ def check_mixture(mixture: Mixture, n_joints: int) -> None:
             raise ValueError("the mixture's probabilities do not sum to 1")
     if not all(_is_positive(covariance) for covariance in mixture.covariance):
         raise ValueError("a covariance of the mixture is not positive")
-    if min(mixture.paint[:, 1].min(initial=0.0), mixture.log_chi2[1]) < 0:
-        raise ValueError("something that the mixture has learnt has a variance below zero")
+    if min(mixture.paint[:, 1].min(initial=0.0), mixture.log_chi2[1], mixture.sun_sigmas.min() - 1e-9) < 0:
+        raise ValueError("something that the mixture has learnt has no variance")
     _check_numbers(mixture)
 
 
@@ -37,6 +37,7 @@ def _check_arrays(mixture: Mixture, d: int) -> None:
         "rates": (mixture.rates, (n, d)),
         "covariance": (mixture.covariance, (n, 2 * d, 2 * d)),
         "suns": (mixture.suns, (n, 3)),
+        "sun_sigmas": (mixture.sun_sigmas, (n,)),
         "paint": (mixture.paint, (n, 2, mixture.paint.shape[-1] if mixture.paint.ndim else 0)),
         "log_weights": (mixture.log_weights, (n,)),
         "existence": (mixture.existence, (3,)),

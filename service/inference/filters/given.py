@@ -58,6 +58,7 @@ class Predicted:
     rates: Array
     covariance: Array  # (K, 2d, 2d)
     suns: Array
+    sun_sigmas: Array  # (K,)
     paint: Array  # (K, 2, P)
     log_weights: Array
     existence: Array  # (3,)

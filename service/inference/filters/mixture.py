@@ -16,10 +16,10 @@ from service.inference.filters.status import status_of, told_existence
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.model import existence, paint, prior
 from service.inference.model.drawing import Quality
-from service.inference.model.dynamics import predicted
+from service.inference.model.dynamics import predicted, predicted_suns
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.search import Found, search
-from service.inference.model.stages import Stage, stage_hill
+from service.inference.model.stages import FINEST, Stage, stage_hill
 from service.inference.motion import RateFilter, rate_filter
 from service.inference.numerics.gauss_newton import Hill, Refined, Trust, ascend, within
 from service.inference.numerics.priors import Believed
@@ -43,7 +43,7 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     hill, nuisance = ground(before, ahead, found, given)
     if hill is None or (ahead is None and not (found and found.basins)):
         return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
-    refined = update(ahead, hill, given.domain.wrapping)
+    refined = update(ahead, hill, given.domain.wrapping, searched=found is not None)
     updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
     after = prune(updated, before, found, given, hill)
     if ahead is not None and before is not None and after.existence[existence.ABSENT] >= 0.5:
@@ -57,6 +57,7 @@ def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
         before,
         poses=ahead.poses,
         covariance=ahead.covariance,
+        sun_sigmas=ahead.sun_sigmas,
         paint=ahead.paint,
         log_weights=ahead.log_weights,
         existence=after.existence,
@@ -72,7 +73,16 @@ def predict(before: Mixture, noise: RateFilter, dt_s: float) -> Predicted:
     weights = prior.EVIDENCE_KEPT * before.log_weights
     weights = weights - np.logaddexp.reduce(weights)
     here = existence.expected(before.existence, dt_s)
-    return Predicted(poses, before.rates, covariance, before.suns, paint.expected(before.paint), weights, here)
+    return Predicted(
+        poses=poses,
+        rates=before.rates,
+        covariance=covariance,
+        suns=before.suns,
+        sun_sigmas=predicted_suns(before.sun_sigmas, dt_s),
+        paint=paint.expected(before.paint),
+        log_weights=weights,
+        existence=here,
+    )
 
 
 def propose(rng: np.random.Generator, before: Mixture | None, given: Given) -> Found | None:
@@ -108,16 +118,19 @@ def ground(
     return stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
 
 
-def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_]) -> list[Refined]:
-    """Each mode at its best under what was expected of it and what the frame says; the leader two steps, others one."""
+def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], searched: bool) -> list[Refined]:
+    """Each mode at its best under what was expected of it and what the frame says; the leader two steps, others one.
+
+    Beside what a search found the leader climbs as far as that did.
+    """
     if ahead is None:
         return []
     d = ahead.rates.shape[1]
     precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
     poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
     steps = np.full(len(poses), OTHERS_STEPS)
-    steps[np.argmax(ahead.log_weights)] = LEADER_STEPS
-    believed = Believed(ahead.poses, precision, wrapping, ahead.paint)
+    steps[np.argmax(ahead.log_weights)] = FINEST.steps if searched else LEADER_STEPS
+    believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
     return ascend(hill, poses, ahead.suns, steps=steps, covariance="last", believed=believed)
 
 
@@ -142,6 +155,7 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         rates=updated.rates[kept],
         covariance=updated.covariance[kept],
         suns=np.stack([updated.refined[k].sun for k in kept]),
+        sun_sigmas=np.array([updated.refined[k].sun_sigma for k in kept]),
         paint=updated.paint[kept],
         log_weights=chosen,
         existence=updated.existence,

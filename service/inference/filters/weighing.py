@@ -88,6 +88,7 @@ def followed(k: int, one: Refined, ahead: Predicted, domain: Domain) -> Weighed:
     shift = tangent(ahead.poses[k : k + 1], one.pose, domain.wrapping)[0]
     rates, covariance = corrected(ahead.rates[k], ahead.covariance[k], shift, one.covariance)
     narrowed = 0.5 * float(np.linalg.slogdet(one.covariance)[1] - np.linalg.slogdet(wide)[1])
+    narrowed += 2 * float(np.log(one.sun_sigma / ahead.sun_sigmas[k]))
     away = -0.5 * float(shift @ np.linalg.solve(wide, shift))
     weight = float(ahead.log_weights[k]) + prior.EVIDENCE_TRUST * (one.log_posterior + narrowed)
     return Weighed(one, rates, covariance, weight, narrowed + away, _alone(one) - away, ahead.paint[k])
@@ -153,4 +154,4 @@ def same_mode(one: Refined, other: Refined) -> bool:
 
 
 def _alone(one: Refined) -> float:
-    return one.log_posterior + 0.5 * float(np.linalg.slogdet(one.covariance)[1])
+    return one.log_posterior + 0.5 * float(np.linalg.slogdet(one.covariance)[1]) + 2 * float(np.log(one.sun_sigma))

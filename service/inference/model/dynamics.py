@@ -45,3 +45,8 @@ def new_born(pose_covariance: Array, noise: RateFilter) -> Array:
     out[:d, :d] = pose_covariance
     out[range(d, 2 * d), range(d, 2 * d)] = noise.variance
     return out
+
+
+def predicted_suns(sigmas: Array, dt_s: float) -> Array:
+    """(K,) of the Suns that go with modes, after ``dt_s``: what is remembered of them fades as poses do."""
+    return np.asarray(np.sqrt(sigmas**2 / prior.MEMORY_KEPT + prior.SUN_DRIFT**2 * dt_s))

@@ -35,6 +35,7 @@ SEARCH_FINDS = (2.0, 0.5)  # Beta law of the share of searches that meet the tru
 EVIDENCE_TRUST = 0.25  # power of evidence from one mode to another: the truth loses by up to 14 nats in single frames
 FADES = 0.5  # log of the light's change from one frame to the next: turning panels, glints
 MEMORY_KEPT = 0.4  # of what earlier frames say of a pose: they err where the next one errs
+SUN_DRIFT = 0.02  # rad, per root s, in camera axes: the field turns while a telescope follows a pass
 PAINT_DRIFT = 0.05  # of log albedo, per frame: median change 0.04 between frames of eleven passes
 PAINT_DOUBTED = 0.9  # of what is known of paint stays in a frame that more likely is not of it
 EVIDENCE_KEPT = 0.7  # of what earlier frames say of one mode against another, likewise

@@ -57,6 +57,7 @@ class Refined:
 
     pose: Poses  # one
     sun: Array  # (3,)
+    sun_sigma: float  # rad, each axis across it
     fit: Fit
     log_posterior: float  # evidence, and the prior of scale and Sun
     covariance: Array  # (6 + J, 6 + J) rad, frame px, log, deg or model units
@@ -106,8 +107,19 @@ def ascend(
         going[at] = scores[at] > before + _ENOUGH
     if covariance == "exact":
         curvatures = [c for _, _, c in _systems(hill, poses, suns, fits, believed, np.arange(len(poses)))]
-    spreads = [c if covariance == "none" else _inverse(c)[:d, :d] for c in curvatures]
-    return [Refined(poses[k : k + 1], suns[k], fits[k], float(scores[k]), spreads[k]) for k in range(len(poses))]
+    whole = [c if covariance == "none" else _inverse(c) for c in curvatures]
+    sun_sigmas = [_sun_sigma(hill, spread, d) for spread in whole]
+    return [
+        Refined(poses[k : k + 1], suns[k], sun_sigmas[k], fits[k], float(scores[k]), whole[k][:d, :d])
+        for k in range(len(poses))
+    ]
+
+
+def _sun_sigma(hill: Hill, spread: Array, d: int) -> float:
+    """Rad, each axis: of a pose's whole covariance; what was told where the Sun does not move."""
+    if not hill.sun_free or len(spread) == d:
+        return hill.told.sun_sigma
+    return float(np.sqrt(0.5 * np.trace(spread[d:, d:])))
 
 
 def _inverse(curvature: Array) -> Array:
@@ -132,7 +144,11 @@ def _look(
         Fit(float(e), float(x), c, *(getattr(more, name) for name in _DETAILS))
         for e, x, c, more in zip(found.log_evidence, found.chi2, found.coefficients, details, strict=True)
     ]
-    before = 0.0 if believed is None or at is None else believed.log_density(poses, at)
+    before = np.zeros(len(poses))
+    if believed is not None and at is not None:
+        before += believed.log_density(poses, at)
+        if hill.told.towards_sun is None:
+            before += believed.log_density_of_sun(suns, at)
     return fits, np.asarray(found.log_evidence + _log_prior(hill.told, poses, suns) + before)
 
 
@@ -167,10 +183,17 @@ def _systems(
     ]
     if believed is not None and at is not None:
         towards, d = -believed.away(poses, at), believed.precision.shape[1]
-        for (normal, pull, unpainted), precision, away in zip(found, believed.precision[at], towards, strict=True):
+        for (normal, pull, stated), precision, away in zip(found, believed.precision[at], towards, strict=True):
             normal[:d, :d] += precision
-            unpainted[:d, :d] += precision
+            stated[:d, :d] += precision
             pull[:d] += precision @ away
+        if hill.sun_free and hill.told.towards_sun is None:
+            d = 6 + poses.joints.shape[1]
+            for k, (normal, pull, stated) in zip(at, found, strict=True):
+                sure, sun = believed.sun_precision[k], suns[np.searchsorted(at, k)]
+                normal[range(d, d + 2), range(d, d + 2)] += sure
+                stated[range(d, d + 2), range(d, d + 2)] += sure
+                pull[d : d + 2] += sure * (across(sun) @ (believed.suns[k] - sun))
     return found
 
 

@@ -29,6 +29,8 @@ class Believed:
     precision: Array  # (N, 6 + J, 6 + J)
     wrapping: NDArray[np.bool_]  # (J,) joints that turn all the way round
     paint: Array  # (N, 2, P) see ``model.paint``
+    suns: Array  # (N, 3) unit; they count where the Sun is not told
+    sun_precision: Array  # (N,) rad^-2, each axis
 
     def away(self, poses: Poses, at: NDArray[np.intp]) -> Array:
         """(n, 6 + J) from the means to the poses that are numbered ``at``; turning joints the short way round."""
@@ -38,3 +40,7 @@ class Believed:
         """(n,) of them, but for the Gaussians' heights."""
         away = self.away(poses, at)
         return np.asarray(-0.5 * np.einsum("ni,nij,nj->n", away, self.precision[at], away))
+
+    def log_density_of_sun(self, suns: Array, at: NDArray[np.intp]) -> Array:
+        """(n,) of the Sun that goes with each pose, but for the Gaussians' heights."""
+        return np.asarray(-0.5 * self.sun_precision[at] * np.sum((suns - self.suns[at]) ** 2, axis=1))

@@ -164,6 +164,7 @@ def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False, m
         rates=np.zeros((n, 6)),
         covariance=np.tile(1e-4 * np.eye(12), (n, 1, 1)),
         suns=np.tile(SUN, (n, 1)),
+        sun_sigmas=np.full(n, 0.0175),
         paint=np.zeros((n, 2, 6)),
         log_weights=np.log(np.array(weights)),
         existence=np.array(existence),

@@ -84,9 +84,8 @@ def test_a_joint_that_turns_all_the_way_is_expected_the_short_way_round():
         return Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 2)), np.zeros(1), np.array([[value]]))
 
     first = np.zeros(1, dtype=np.intp)
-    turning, stopped = (
-        Believed(panel(179.0), np.eye(7)[None], np.array([wraps]), np.zeros((1, 2, 6))) for wraps in (True, False)
-    )
+    nothing = np.zeros((1, 2, 6)), np.array([[0.0, 0.0, -1.0]]), np.ones(1)
+    turning, stopped = (Believed(panel(179.0), np.eye(7)[None], np.array([wraps]), *nothing) for wraps in (True, False))
     assert turning.log_density(panel(-179.0), first) == pytest.approx(-2.0)
     assert stopped.log_density(panel(-179.0), first) == pytest.approx(-0.5 * 358**2)
 
