@@ -22,7 +22,7 @@ class Variant:
 
 
 BY_OUTLINE: Mapping[str, Mapping[str, Any]] = {"filter": {"method": "importance"}}
-"""What is ablated: the filter of frames whose Sun is not known."""
+"""What is ablated: the outline's filter."""
 
 VARIANTS = (
     Variant("default", "nothing switched off"),

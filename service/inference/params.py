@@ -33,9 +33,9 @@ class FilterParams:
     method: Literal["auto", "mixture", "importance", "tempered", "bootstrap"] = "auto"
     """`bootstrap`: resample, jitter, weigh, once a frame (the paper). `tempered`: approach the frame's likelihood in
     steps, resample and move the particles after each. `importance`: adapt a proposal to each mode, tempered likewise,
-    and draw the particles from it with their exact weights. `mixture`: modes that explain the light itself, with the
-    Sun where it is known (docs/model.md). `auto`: `mixture` from the first frame on whose Sun is known and where OpenCL
-    has a device; until then, and in a session that compares models, `importance`."""
+    and draw the particles from it with their exact weights. `mixture`: modes that explain the light itself, the Sun
+    told or not (docs/model.md). `auto`: `mixture` where OpenCL has a device; `importance` where it has none, in a
+    session that compares models, and in one that names a `backend`."""
     particles: int = 1000
     """Particles carried from frame to frame."""
     seed: int = 0

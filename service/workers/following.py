@@ -123,11 +123,9 @@ def told_of(config: SessionConfig, domain: Domain, light: Light | None) -> PoseP
 
 
 def follows_light(job: FrameJob) -> bool:
-    """Whether a frame is one of ``filters.mixture``: see ``filter.method``."""
+    """Whether a frame is one of ``filters.mixture``: see ``filter.method``. A session goes on as it began."""
     method = job.config.filter.method
     if method != "auto":
         return method == "mixture"
-    if job.compared:
-        return False
-    known = job.light is not None and job.light.towards_sun is not None
-    return known or (job.state is not None and job.state.mixture is not None)
+    by_outline = job.state is not None and job.state.mixture is None and bool(job.state.memory)
+    return not job.compared and job.config.filter.backend == "auto" and not by_outline

@@ -33,7 +33,7 @@ from service.workers.tracker import Tracker, draw_silhouette
 GOLDEN = Path(__file__).parent / "golden"
 ROOT = Path(__file__).resolve().parents[2]
 SIZE, FRAMES, MIDDLE = 80, 8, 4
-CONFIG = {"filter": {"particles": 200, "acquisition_particles": 500, "seed": 5}}
+CONFIG = {"filter": {"method": "importance", "particles": 200, "acquisition_particles": 500, "seed": 5}}
 LEAST_OVERLAP, PLACE_PX = 0.90, 1.0
 SCALE = 0.08  # outlines alone told one that is 7 % too large, here and there in session-1
 

@@ -23,7 +23,14 @@ from service.client import Client
 
 SIZE = 48
 GIVEN = box_pass(2, SIZE)
-SMALL = {"particles": 100, "acquisition_particles": 200, "acquisition_moves": 2, "moves": 2, "seed": 5}
+SMALL = {
+    "method": "importance",
+    "particles": 100,
+    "acquisition_particles": 200,
+    "acquisition_moves": 2,
+    "moves": 2,
+    "seed": 5,
+}
 TIME = "2026-11-20T03:04:05.500"
 
 

@@ -31,7 +31,8 @@ def drawn(rng: np.random.Generator, mixture: Mixture, count: int, domain: Domain
         moved = retract(mixture.poses[np.full(n, k)], steps[:, :d])
         low, high = domain.joint_bounds
         joints = np.where(domain.wrapping, moved.joints, np.clip(moved.joints, low, high))
-        poses.append(domain.wrap(Poses(moved.quaternion, moved.position, moved.log_scale, joints)))
+        log_scale = np.clip(moved.log_scale, *domain.log_scale_bounds)
+        poses.append(domain.wrap(Poses(moved.quaternion, moved.position, log_scale, joints)))
         rates.append(mixture.rates[k] + steps[:, d:])
     return concatenate(*poses), np.concatenate(rates)
 

@@ -24,7 +24,8 @@ from service.inference.motion import RateFilter, rate_filter
 from service.inference.numerics.gauss_newton import Hill, Refined, Trust, ascend, within
 from service.inference.numerics.priors import Believed
 from service.inference.pose import concatenate, retract
-from service.inference.state import Estimate, FilterState, Mixture
+from service.inference.state import Estimate, FilterState, Mixture, Poses
+from service.inference.symmetry import twin
 
 FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as fine as a track is followed
 LEADER_STEPS, OTHERS_STEPS = 2, 1
@@ -89,7 +90,13 @@ def propose(rng: np.random.Generator, before: Mixture | None, given: Given) -> F
     """What a search of the whole space finds; None where none is due."""
     if given.frame.sight is None or not search_due(before):
         return None
-    return search(given.body, given.frame.sight, given.bank(), given.told, given.frame.wide, rng if before else None)
+
+    def alike(poses: Poses) -> Poses:
+        return given.domain.wrap(concatenate(*[twin(poses, symmetry) for symmetry in given.twins]))
+
+    shaken = rng if before else None
+    equivalents = alike if given.twins else None
+    return search(given.body, given.frame.sight, given.bank(), given.told, given.frame.wide, shaken, equivalents)
 
 
 def search_due(before: Mixture | None) -> bool:

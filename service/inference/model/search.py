@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,7 @@ _SAME_DEG = 2.0  # after refinement
 _SHAKEN, _SHAKEN_KEPT, _SHAKEN_RAD = 24, 2, 0.12  # poses around the best, how many climb, how far about they lie
 _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06  # about half a step of the bank's, each axis
 _TRIAL_STEPS, _HOPELESS = 2, 100.0  # of the finest stage; nats behind the best after them: none comes back from there
+_MIRRORED = 3  # of the best, whose symmetry-equivalents are looked at
 _WIDER = 1.3  # so much more must a wider sight span
 _LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
 _TRIED = 60  # basins whose joints and Suns are tried anew
@@ -74,9 +75,11 @@ def search(
     told: PosePrior,
     wide: Sight | None = None,
     rng: np.random.Generator | None = None,
+    alike: Callable[[Poses], Poses] | None = None,
 ) -> Found:
     """All that a frame alone says of a pose.
 
+    ``alike``: poses whose outline is that of the given ones; light decides between them.
     ``rng`` moves the templates' poses by half of what lies between them: searches that err do not err alike.
     ``wide``: a sight of more, in case that the body is more than what is seen at one place. The evidence of what both
     propose, on the wider patch, says which of them the search goes on with.
@@ -100,6 +103,11 @@ def search(
     nuisance = best_spread(hill, some.poses[:3], some.suns[:3], nuisance)
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
+    if alike is not None:
+        first = some[np.arange(min(_MIRRORED, len(some.found)))]
+        poses = alike(first.poses)
+        suns = np.tile(first.suns, (len(poses) // len(first.poses), 1))
+        some = _joined([some, Candidates(poses, suns, np.full(len(poses), -np.inf))])
     return finished(body, sight, some, nuisance, told)
 
 
