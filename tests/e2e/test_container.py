@@ -120,5 +120,5 @@ def test_tracks_the_demo_pass(url: str) -> None:
     finally:
         client.close()
     assert len(results) == FRAMES
-    assert {result.answer["scorer"].split(":")[0] for result in results} == {"opencl"}
+    assert {result.answer["scorer"].split(":")[0] for result in results} == {"light"}
     assert judge(results).held

@@ -155,7 +155,6 @@ def test_joints_are_found_with_it():
     assert half_turns(best.pose, at) < 5.0
 
 
-@pytest.mark.xfail(reason="distinct looks at rotations alone: one joint value of each goes on from stage to stage")
 def test_two_joint_values_of_one_rotation_both_go_on():
     """A dark panel seen well, or a bright one turned away: the first stages cannot tell, the last can by 19 nats."""
     at = truth(3, True)
