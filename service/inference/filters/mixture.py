@@ -44,7 +44,8 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     hill, nuisance = ground(before, ahead, found, given)
     if hill is None or (ahead is None and not (found and found.basins)):
         return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
-    refined = update(ahead, hill, given.domain.wrapping, searched=found is not None)
+    gone = before is not None and bool(before.existence[existence.ABSENT] >= 0.5)
+    refined = update(ahead, hill, given.domain.wrapping, far=found is not None or gone)
     updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
     after = prune(updated, before, found, given, hill)
     if ahead is not None and before is not None and after.existence[existence.ABSENT] >= 0.5:
@@ -125,10 +126,10 @@ def ground(
     return stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
 
 
-def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], searched: bool) -> list[Refined]:
+def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far: bool) -> list[Refined]:
     """Each mode at its best under what was expected of it and what the frame says; the leader two steps, others one.
 
-    Beside what a search found the leader climbs as far as that did.
+    ``far``: the leader climbs as far as what a search finds: beside that, and when it may be back after an absence.
     """
     if ahead is None:
         return []
@@ -136,7 +137,7 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], sea
     precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
     poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
     steps = np.full(len(poses), OTHERS_STEPS)
-    steps[np.argmax(ahead.log_weights)] = FINEST.steps if searched else LEADER_STEPS
+    steps[np.argmax(ahead.log_weights)] = FINEST.steps if far else LEADER_STEPS
     believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
     return ascend(hill, poses, ahead.suns, steps=steps, covariance="last", believed=believed)
 
