@@ -389,7 +389,8 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
     for (int m = 0; m < lit; ++m) to[m] = (float)r.plane[m];
 }
 
-// given_mean, given_precision (unknowns), or `every` of them a pose. out (N, 4): log evidence, chi2 of the body, log det, squared deviation; values (N, planes) what `combined` takes.
+// given_mean, given_precision (unknowns), or `every` of them a pose.
+// out (N, 4): log evidence, chi2 of the body, log det, squared deviation; values (N, planes) what `combined` takes.
 __kernel void evidence(
     __global const float *planes, const int poses, __global const float *offset, __global const float *given_mean,
     __global const float *given_precision, const int every, __global const float *data, __global const uchar *full,
@@ -408,7 +409,8 @@ __kernel void evidence(
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
         Box body;
         const int lit = begin(s, r, planes + (size_t)pose * n_planes * pixels, offset,
-            given_mean + (size_t)pose * every, given_precision + (size_t)pose * every, data, weights, radii, taps, groups, &body);
+            given_mean + (size_t)pose * every, given_precision + (size_t)pose * every, data, weights,
+            radii, taps, groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
         draw_model(s, r, lit, count, body, offset, data, full, bumps);
         bool sound = true, still = false;

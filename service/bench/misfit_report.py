@@ -8,9 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
-from service.bench.misfits import WITHIN, MisfitRow
-
-KINDS = ("mesh", "mirror", "cloud")
+from service.bench.misfits import KINDS, WITHIN, MisfitRow
 
 
 def misfit_document(machine: Mapping[str, Any], rows: Sequence[MisfitRow]) -> dict[str, Any]:

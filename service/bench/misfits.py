@@ -19,6 +19,7 @@ from service.bench.runner import Entry, Terms, open_session
 from service.workers.tracker import Tracker
 
 Pixels = NDArray[np.integer]
+KINDS = ("mesh", "mirror", "cloud")
 NOTICED = ("no_fit", "lost", "ambiguous")
 WITHIN = 5  # frames in which it should be noticed
 _CLOUD = 0.1  # of the light that comes through
@@ -29,7 +30,7 @@ _CLOUD_EDGE = 0.1  # of the body's radius
 class MisfitRow:
     """What was said of one spoilt pass. ``from_frame`` is the first that is spoilt."""
 
-    kind: str  # mesh, mirror, cloud
+    kind: str  # one of ``KINDS``
     case: str
     model: str  # that it was followed with
     from_frame: int

@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-_KINDS = ("mesh", "mirror", "cloud")
-
 
 def misfits(
     folder: Annotated[Path, typer.Argument(help="Folder of sequences.")],
@@ -25,16 +23,16 @@ def misfits(
     from service.bench.folder import find_sequences
     from service.bench.machine import describe_machine
     from service.bench.misfit_report import misfit_document, misfit_tables
-    from service.bench.misfits import Misfit, clouded, mirrored, run_misfit, wrong_meshes
+    from service.bench.misfits import KINDS, Misfit, clouded, mirrored, run_misfit, wrong_meshes
     from service.bench.runner import Terms
     from service.cli.bench import refusals
     from service.cli.bench_output import publish, told
     from service.cli.bench_run import bench_progress, entries_of
     from service.workers.tracker import Tracker
 
-    kinds = tuple(kind or _KINDS)
-    if not set(kinds) <= set(_KINDS):
-        raise typer.BadParameter(f"{', '.join(kinds)}: there are {', '.join(_KINDS)}")
+    kinds = tuple(kind or KINDS)
+    if not set(kinds) <= set(KINDS):
+        raise typer.BadParameter(f"{', '.join(kinds)}: there are {', '.join(KINDS)}")
     rows, tracker = [], Tracker()
     try:
         with refusals(), told(None), bench_progress() as progress:

@@ -18,9 +18,7 @@ DISCREPANCY, DISCREPANCY_LOG_SIGMA = 0.04, 0.35  # tau
 DISCREPANCY_LENGTH = 17.0  # patch px over which the discrepancy is alike
 DISCREPANCY_LEAST = 18.0  # pixels' areas over which it is alike, at the least
 EDGE_PX = 2.0  # discrepancy of places: mesh and mean pose are so far from right, in units of tau
-POSE_DEGREES_OF_FREEDOM = (
-    4.0  # of a pose: c tau^2 is known to a factor of two, and a variance so known gives a Student t
-)
+POSE_DEGREES_OF_FREEDOM = 4.0  # of a pose: c tau^2 is known to a factor of two, a variance so known gives a Student t
 CHI2_DEGREES_OF_FREEDOM = 4.0  # that a frame's mean square of what is left over adds: it is alike all over a body
 LOW_PASS_SHARE = 0.7  # the frame's own low pass, as a share of the point spread's width
 DEGREES_OF_FREEDOM = 4.0  # of the Student t of a pixel
