@@ -129,14 +129,14 @@ def ground(
 def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far: bool) -> list[Refined]:
     """Each mode at its best under what was expected of it and what the frame says; the leader two steps, others one.
 
-    ``far``: the leader climbs as far as what a search finds: beside that, and when it may be back after an absence.
+    ``far``: all climb as far as what a search finds: beside that, and when they may be back after an absence.
     """
     if ahead is None:
         return []
     d = ahead.rates.shape[1]
     precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
     poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
-    steps = np.full(len(poses), OTHERS_STEPS)
+    steps = np.full(len(poses), FINEST.steps if far else OTHERS_STEPS)
     steps[np.argmax(ahead.log_weights)] = FINEST.steps if far else LEADER_STEPS
     believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
     return ascend(hill, poses, ahead.suns, steps=steps, covariance="last", believed=believed)

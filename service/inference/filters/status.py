@@ -17,10 +17,10 @@ _EQUIVALENT_DEG = 5.0
 
 
 def told_existence(mixture: Mixture) -> Array:
-    """(3,) probabilities: what no search may have met is nothing that the modes explain."""
+    """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body."""
     absent, fits, no_fit = mixture.existence
-    lost = fits * existence.missed(mixture.searches, mixture.misses)
-    return np.array([absent, fits - lost, no_fit + lost])
+    kept = fits * (1 - existence.missed(mixture.searches, mixture.misses)) * existence.of_this_body(mixture.discrepancy)
+    return np.array([absent, kept, no_fit + fits - kept])
 
 
 def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> str:

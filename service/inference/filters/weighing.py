@@ -52,13 +52,15 @@ def weigh(
     """All modes with what the frame says of them, and of whether any of them is true."""
     modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
     lead = max(modes, key=lambda mode: mode.log_weight, default=None)
-    level, afresh = 0.0, -np.inf  # weight of evidence in this frame alone; the leader's, were its paint unknown
+    level: float | None = None  # weight of evidence in this frame alone
+    afresh = -np.inf  # the leader's evidence, were its paint unknown
     if lead is not None:
         planes = planes_of(lead.one, hill)
         afresh = evidence_at(hill, hill.scene, planes)
         alone = lead.alone + afresh - lead.one.fit.log_evidence
-        level = lead.log_weight - prior.EVIDENCE_TRUST * alone + float(np.log(prior.BIRTH))
-    modes += [born(one, level, noise, given.domain) for one in newborn(refined, found)]
+        level = lead.log_weight - prior.EVIDENCE_TRUST * alone
+    new = newborn(refined, found)
+    modes += [born(one, level, len(new), noise, given.domain) for one in new]
     lead_number = int(np.argmax([mode.log_weight for mode in modes]))
     best = modes[lead_number]
     if best is not lead:
@@ -91,17 +93,25 @@ def followed(k: int, one: Refined, ahead: Predicted, domain: Domain) -> Weighed:
     narrowed += 2 * float(np.log(one.sun_sigma / ahead.sun_sigmas[k]))
     away = -0.5 * float(shift @ np.linalg.solve(wide, shift))
     weight = float(ahead.log_weights[k]) + prior.EVIDENCE_TRUST * (one.log_posterior + narrowed)
-    return Weighed(one, rates, covariance, weight, narrowed + away, _alone(one) - away, ahead.paint[k])
+    return Weighed(one, rates, covariance, weight, narrowed + away, one.log_posterior - away, ahead.paint[k])
 
 
-def born(one: Refined, level: float, noise: RateFilter, domain: Domain) -> Weighed:
-    """A basin of a search: it might have been anywhere."""
+def born(one: Refined, level: float | None, siblings: int, noise: RateFilter, domain: Domain) -> Weighed:
+    """A basin of a search: it might have been anywhere.
+
+    ``level``: the weight of no evidence in this frame, of what was followed; None: nothing was. Beside a track only the
+    height of its evidence counts: frames before this one would have narrowed it as they have narrowed the track.
+    """
     d = len(one.covariance)
-    share = 0.5 * float(np.linalg.slogdet(one.covariance)[1]) + 0.5 * d * float(np.log(2 * np.pi)) - domain.log_volume
-    alone = _alone(one)
+    narrow = 0.5 * float(np.linalg.slogdet(one.covariance)[1])
+    share = narrow + 0.5 * d * float(np.log(2 * np.pi)) - domain.log_volume
     unlearnt = paint.unlearnt(len(one.fit.coefficients))
-    weight = prior.EVIDENCE_TRUST * alone + level
-    return Weighed(one, np.zeros(d), new_born(one.covariance, noise), weight, share, alone, unlearnt)
+    weight = prior.EVIDENCE_TRUST * one.log_posterior
+    if level is None:
+        weight += prior.EVIDENCE_TRUST * (narrow + 2 * float(np.log(one.sun_sigma)))
+    else:
+        weight += level + float(np.log(prior.BIRTH / siblings))  # one of them at the most is the truth
+    return Weighed(one, np.zeros(d), new_born(one.covariance, noise), weight, share, one.log_posterior, unlearnt)
 
 
 def hypotheses(
@@ -151,7 +161,3 @@ def same_mode(one: Refined, other: Refined) -> bool:
     apart = (one.pose.joints - other.pose.joints)[0]
     wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
     return bool(np.all(np.abs(apart) <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))
-
-
-def _alone(one: Refined) -> float:
-    return one.log_posterior + 0.5 * float(np.linalg.slogdet(one.covariance)[1]) + 2 * float(np.log(one.sun_sigma))

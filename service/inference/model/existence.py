@@ -98,6 +98,19 @@ def missed(searches: int, misses: int = 0) -> float:
     return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
 
 
+def of_this_body(discrepancy: float) -> float:
+    """Probability that the model is the body's, by the discrepancy that its frames ask for.
+
+    It is the same in all frames, so it counts once, and not frame after frame.
+    """
+    above = float(np.log(discrepancy / prior.DISCREPANCY_OWN))
+    own = -0.5 * (above / prior.DISCREPANCY_OWN_LOG_SIGMA) ** 2 + float(np.log(2 / prior.DISCREPANCY_OWN_LOG_SIGMA))
+    mean, sigma = prior.DISCREPANCY_UNLIKE
+    other = -0.5 * ((float(np.log(discrepancy / mean))) / sigma) ** 2 - float(np.log(sigma))
+    _, fits, no_fit = prior.EXISTENCE
+    return float(1 / (1 + no_fit / fits * np.exp(other - own)))
+
+
 def goodness(hill: Hill, fit: Fit) -> Goodness:
     """What an answer says of its best mode's light."""
     scene = hill.scene

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +16,15 @@ from service.inference.filters.answer import drawn
 from service.inference.filters.given import Given
 from service.inference.filters.mixture import search_due, step
 from service.inference.filters.status import SURE, status_of, told_existence
+from service.inference.filters.weighing import born
 from service.inference.model import search as searching
 from service.inference.model.drawing import View
-from service.inference.model.existence import usual_chi2
+from service.inference.model.existence import of_this_body, usual_chi2
 from service.inference.model.search import make_bank
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import Body
+from service.inference.motion import rate_filter
+from service.inference.numerics.gauss_newton import Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, retract
 from service.inference.state import FilterState, Mixture, Poses
@@ -155,7 +159,7 @@ def test_another_body_does_not_fit():
     assert statuses[-1] in ("no_fit", "ambiguous", "acquiring")
 
 
-def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False, misses=0) -> Mixture:
+def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False, misses=0, discrepancy=0.02) -> Mixture:
     n = len(weights)
     turn = np.zeros((n, 6))
     turn[:, 0] = np.arange(n)
@@ -170,7 +174,7 @@ def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False, m
         log_weights=np.log(np.array(weights)),
         existence=np.array(existence),
         point_spread=np.array([1.2, 0.0]),
-        discrepancy=0.04,
+        discrepancy=discrepancy,
         log_chi2=usual_chi2(),
         log_light=8.0,
         span_px=40.0,
@@ -192,11 +196,33 @@ def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False, m
         (mixture(existence=(0.0, 0.2, 0.8)), "no_fit"),
         (mixture(existence=(0.0, 0.2, 0.8), ever=True), "lost"),
         (mixture(existence=(0.95, 0.05, 0.0)), "no_target"),
+        (mixture(discrepancy=0.04), "acquiring"),
+        (mixture(discrepancy=0.064, ever=True), "lost"),
     ],
 )
 def test_status_is_read_off_the_probabilities(held, status):
     assert status_of(held, (), given(frame(0), 0).domain) == status
     assert told_existence(held).sum() == pytest.approx(1.0)
+
+
+def test_the_discrepancy_that_frames_ask_for_tells_a_body_from_another():
+    told = [of_this_body(tau) for tau in (0.02, 0.025, 0.04, 0.05, 0.08)]
+    assert told == sorted(told, reverse=True)
+    assert told[0] > 0.98 and 0.8 < told[2] < 0.9 and told[4] < 0.25
+
+
+def test_a_wide_basin_is_worth_no_more_beside_a_track_than_a_narrow_one():
+    """A frame that says little is fitted as well from everywhere: it must not take a track away."""
+    noise, domain = rate_filter(effective({}).motion, given(frame(0), 0).domain, None), given(frame(0), 0).domain
+    fit = SimpleNamespace(coefficients=np.zeros(7))
+
+    def weight(wide: float, level: float | None, siblings: int = 1) -> float:
+        one = Refined(truth(0), SUN, 0.0175, fit, -100.0, wide**2 * np.eye(6))
+        return born(one, level, siblings, noise, domain).log_weight
+
+    assert weight(0.5, 0.0) == weight(0.01, 0.0) == -25.0 + np.log(0.1)
+    assert weight(0.5, 0.0, 4) == -25.0 + np.log(0.1 / 4)
+    assert weight(0.5, None) > weight(0.01, None)  # nothing is known yet: the frame's own shares
 
 
 def test_a_track_that_no_search_could_better_is_searched_ever_more_seldom():
