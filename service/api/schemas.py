@@ -122,6 +122,8 @@ class Estimate(Wire):
     log_evidence: float
     timing_ms: dict[str, float]
     scorer: str
+    assumed: list[Literal["background", "time"]] = Field(default_factory=list)
+    """What nobody told: `background`, the sky was learned from around the object; `time`, the frame brought none."""
 
 
 class EstimateList(Wire):
@@ -222,6 +224,8 @@ class _SessionHead(Wire):
     """Instead: the models that the object may be. Every frame costs as much as it does under all of them."""
     name: Annotated[str, Field(max_length=200)] | None = None
     """For people."""
+    background: Literal["posted", "auto"] | None = None
+    """`auto`: no empty frame will be posted. The same as `camera.background`."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Self:

@@ -40,6 +40,8 @@ async def create_session(
     """
     wanted = (await read_json(request, schemas.SessionRequest)).model_dump(exclude_none=True)
     sections = {name: wanted[name] for name in schemas.SECTION_NAMES if name in wanted}
+    if "background" in wanted:
+        sections["camera"] = {**sections.get("camera", {}), "background": wanted["background"]}
     model_ids = wanted.get("model_ids") or [wanted["model_id"]]
     session = await services.registry.create(caller.tenant, model_ids, wanted.get("name"), sections)
     response.headers["Location"] = f"/v1/sessions/{session['session_id']}"

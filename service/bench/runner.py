@@ -16,6 +16,7 @@ from service.bench.silhouette import whole_pixels
 from service.bench.told import Told
 from service.inference.params import JointParams, SessionConfig
 from service.inference.state import FilterState
+from service.sessions.frame import OWN_SKY_FRAMES
 from service.sessions.lighting import light_at
 from service.sessions.ranging import scale_bounds
 from service.workers.base import BackgroundJob, FrameJob, FrameReport
@@ -139,7 +140,7 @@ def run_case(
 def open_session(tracker: Tracker, case: Case, entry: Entry, backgrounds: Sequence[bytes], told: Told) -> BenchSession:
     """A contestant at the start of a pass: what it is told, and its sky."""
     config = told.configure(replace(entry.config, joints=JointParams(free=case.free)), case)
-    learned = learned_sky(tracker, case, config, backgrounds)
+    learned = learned_sky(tracker, case, config, backgrounds) if told.sky else own_sky(tracker, case, config)
     key = content_key(learned)
     return BenchSession(entry, case, config, key, {case.model.key: case.model.data, key: learned})
 
@@ -153,6 +154,16 @@ def learned_sky(tracker: Tracker, case: Case, config: SessionConfig, backgrounds
         first, _ = next(case.frames())
         border = BackgroundJob(config, first, _PNG, None, border_px=case.size[0] // _BORDER_SHARE)
         learned = tracker.learn_background(border).background
+    return learned
+
+
+def own_sky(tracker: Tracker, case: Case, config: SessionConfig) -> bytes:
+    """The sky of a session to which nobody posts an empty frame, all of it learned ahead."""
+    learned: bytes | None = None
+    for k, (body, _) in enumerate(islice(case.frames(), OWN_SKY_FRAMES[-1] + 1)):
+        if k in OWN_SKY_FRAMES:
+            learned = tracker.learn_background(BackgroundJob(config, body, _PNG, learned, own=True)).background
+    assert learned is not None, "a case has at least one frame"
     return learned
 
 

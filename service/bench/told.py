@@ -21,6 +21,7 @@ class Told:
     sun: bool = True
     sun_off_deg: float = 0.0  # told wrongly by so much
     scale: bool = False
+    sky: bool = True  # empty frames; else it is learned from the frames themselves
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
         """A session's configuration with what it is told. What was set already stays as it is."""

@@ -65,13 +65,16 @@ def track(
     nosun: Annotated[bool, typer.Option("--nosun", help="Do not tell the sessions where the Sun stands.")] = False,
     sun_off: Annotated[float, typer.Option(help="Tell them wrongly, by so many degrees.")] = 0.0,
     known_range: Annotated[bool, typer.Option("--range", help="Tell them the scale as a range gives it.")] = False,
+    own_sky: Annotated[
+        bool, typer.Option("--own-sky", help="Give no empty frames: the sky is the frames' own.")
+    ] = False,
 ) -> None:
     """Run presets over passes with known truth."""
     from service.bench.runner import Terms
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range))
+    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky))
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())
         selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials)

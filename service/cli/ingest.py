@@ -21,7 +21,9 @@ def ingest(
     watch: Annotated[Path, typer.Option(exists=True, file_okay=False, help="Folder of frames.")],
     session: Annotated[str | None, typer.Option(help="Feed this session; by default the folder's own.")] = None,
     mesh: Annotated[Path | None, typer.Option(exists=True, help="For a new session: the mesh file.")] = None,
-    background: Annotated[Path | None, typer.Option(exists=True, help="Images of empty sky: folder or file.")] = None,
+    background: Annotated[
+        Path | None, typer.Option(exists=True, help="Empty sky: folder or file. Default: from the frames.")
+    ] = None,
     box: Annotated[str | None, typer.Option(help="x,y,w,h: object in frame 1; background is outside.")] = None,
     border: Annotated[float | None, typer.Option(min=1, help="Background is this margin of frame 1, px.")] = None,
     joints: Annotated[str | None, typer.Option(help="Joint definitions: JSON array, or a JSON file.")] = None,

@@ -75,11 +75,14 @@ def begin_session(client: Client, plan: SessionPlan, first_frame: Path) -> Sessi
     """
     if plan.mesh is None:
         raise typer.BadParameter("give --session, or --mesh for a new one")
-    if (plan.background is not None) + (plan.box is not None) + (plan.border is not None) != 1:
-        raise typer.BadParameter("a new session needs one of --background, --box, --border")
+    told = sum(one is not None for one in (plan.background, plan.box, plan.border))
+    if told > 1:
+        raise typer.BadParameter("give one of --background, --box, --border")
     model = client.upload_model(plan.mesh, joints=plan.joints)
     free = choose_joints(None, tuple(joint.name for joint in model.joints))
     sections: dict[str, Any] = {"joints": {"free": list(free)}, **plan.config}
+    if not told:
+        sections["background"] = "auto"
     session = client.create_session(model.model_id, name=plan.name, **sections)
     session_id = session.session_id
     if plan.background is not None:

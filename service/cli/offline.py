@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -24,7 +25,7 @@ from service.inference.articulation import hold
 from service.inference.params import SessionConfig
 from service.inference.state import FilterState, PoseEstimate, Poses
 from service.sessions.document import JointNames, estimate_document
-from service.sessions.frame import format_time
+from service.sessions.frame import OWN_SKY_FRAMES, format_time
 from service.sessions.lighting import light_at
 from service.sessions.ranging import scale_bounds
 from service.simulate.compare import silhouette
@@ -69,11 +70,19 @@ class PassSummary:
 
 @dataclass(frozen=True)
 class Sky:
-    """Where the background is learned: empty images, or what the first frame shows outside a box or at its border."""
+    """Where the background is learned: empty images, or what the first frame shows outside a box or at its border.
+
+    Where nothing is told: what lies around the object in the first frames.
+    """
 
     images: ImageSource | None
     box: tuple[float, float, float, float] | None = None
     border_px: float | None = None
+
+    @property
+    def own(self) -> bool:
+        """Whether nothing is told."""
+        return self.images is None and self.box is None and self.border_px is None
 
 
 class OfflinePass:
@@ -88,6 +97,7 @@ class OfflinePass:
         self._blobs = {content_key(model.data): model.data}
         self._names = JointNames.of(report.articulation, config)
         self._lit = light_at(config, {})
+        self._assumed: tuple[str, ...] = ()
 
     def __enter__(self) -> OfflinePass:
         return self
@@ -104,6 +114,7 @@ class OfflinePass:
         out.mkdir(parents=True, exist_ok=True)
         step_s = interval_s or frames.interval_s or self._config.motion.frame_interval_s
         background = self._learn(sky, frames)
+        self._assumed = ("background",) if sky.own else ()
         started = datetime.now(UTC)
         statuses: list[str] = []
         rows: dict[int, tuple[ImageFile, FrameReport]] = {}
@@ -136,9 +147,10 @@ class OfflinePass:
     def _learn(self, sky: Sky, frames: ImageSource) -> str:
         """Key of the learned background among the blobs."""
         learned: bytes | None = None
-        images: Sequence[ImageFile] | ImageSource = [next(iter(frames))] if sky.images is None else sky.images
+        first = [one for k, one in enumerate(islice(frames, OWN_SKY_FRAMES[-1] + 1)) if k in OWN_SKY_FRAMES]
+        images: Sequence[ImageFile] | ImageSource = sky.images or (first if sky.own else first[:1])
         for image in images:
-            job = BackgroundJob(self._config, image.body, image.media_type, learned, sky.box, sky.border_px)
+            job = BackgroundJob(self._config, image.body, image.media_type, learned, sky.box, sky.border_px, sky.own)
             learned = self._tracker.learn_background(job).background
         assert learned is not None, "an image source has at least one image"
         key = content_key(learned)
@@ -169,7 +181,9 @@ class OfflinePass:
 
     def _document(self, index: int, moment: datetime, report: FrameReport) -> bytes:
         packed = PackedFrameReport(b"", report.estimate, report.timing_ms, report.scorer)
-        return estimate_document(_SESSION_ID, index, format_time(moment), self._names, packed, lit=self._lit)
+        return estimate_document(
+            _SESSION_ID, index, format_time(moment), self._names, packed, lit=self._lit, assumed=self._assumed
+        )
 
     def _sheet_row(self, index: int, image: ImageFile, report: FrameReport) -> SheetRow:
         pixels = decode_frame(image.body, image.media_type).image

@@ -14,7 +14,9 @@ def track(
         Path, typer.Option(help="Folder of images, in the order of their names, a file of several, or a video.")
     ],
     out: Annotated[Path, typer.Option(help="Folder for estimates and contact sheet.")],
-    background: Annotated[Path | None, typer.Option(help="Folder of images of empty sky, or a video.")] = None,
+    background: Annotated[
+        Path | None, typer.Option(help="Folder of images of empty sky, or a video. Default: learned from the frames.")
+    ] = None,
     box: Annotated[str | None, typer.Option(help="x,y,w,h: object in frame 1; background is outside.")] = None,
     border: Annotated[float | None, typer.Option(min=1, help="Background is this margin of frame 1, px.")] = None,
     joints: Annotated[str | None, typer.Option(help="Joint definitions: JSON array, or a JSON file.")] = None,
@@ -36,7 +38,7 @@ def track(
     from service.errors import SkyposeError
     from service.sessions.config import effective
 
-    if (background is not None) + (box is not None) + (border is not None) != 1:
+    if (background is not None) + (box is not None) + (border is not None) > 1:
         raise typer.BadParameter("give one of --background, --box, --border")
     definitions = read_joint_list(joints)
     model = read_model_file(mesh, definitions)

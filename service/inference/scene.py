@@ -75,6 +75,10 @@ class CameraParams:
     in pixels of the whole frame; shares of the image (`prior`, `motion.position`) are those of the region."""
     binning: int = 1
     """Squares of so many pixels a side are averaged before anything else, for speed or faint objects."""
+    background: Literal["posted", "auto"] = "posted"
+    """Where the empty sky is known from: frames that are posted as background; with `auto`, a smooth surface through
+    what lies around the object in the first frames, unless something is posted. A request's own `background` says the
+    same."""
 
     def __post_init__(self) -> None:
         require(self.psf_sigma_px is None or 0 < self.psf_sigma_px <= 100, "psf_sigma_px must lie in (0, 100]")

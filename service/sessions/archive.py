@@ -158,12 +158,13 @@ def session_document(record: SessionRecord) -> dict[str, Any]:
     """A stored session as the API answers it."""
     session_id, model_id = public_id(record.id), public_id(record.model_id)
     here = f"/v1/sessions/{session_id}"
+    own_sky = record.config["camera"].get("background") == "auto"
     return {
         "session_id": session_id,
         "name": record.name,
         "model_id": None if record.model_ids else model_id,
         "model_ids": [public_id(key) for key in record.model_ids] or None,
-        "state": "waiting_for_background" if record.background_key is None else "ready",
+        "state": "ready" if record.background_key is not None or own_sky else "waiting_for_background",
         "status": record.status,
         "frames": record.next_index,
         "last_seq": record.next_seq - 1,

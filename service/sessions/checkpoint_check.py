@@ -108,6 +108,7 @@ class Info(TypedDict):
     height: Count
     channels: Literal[1, 3]
     bits: Literal[8, 16]
+    source: NotRequired[Literal["auto"]]
 
 
 class Header(TypedDict):

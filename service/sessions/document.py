@@ -45,11 +45,12 @@ def estimate_document(
     models: Sequence[Mapping[str, Any]] | None = None,
     orbit: Mapping[str, Any] | None = None,
     lit: Lit = UNKNOWN,
+    assumed: Sequence[str] = (),
 ) -> bytes:
     """The answer to a frame as JSON bytes; ``view`` is the camera among the stars, where it is known.
 
     ``models`` are those that the session compares, the one of ``report`` first. ``orbit``: where the object stands.
-    ``lit``: where its light comes from.
+    ``lit``: where its light comes from; ``assumed``: what nobody told.
 
     Raises ``SkyposeError`` if a number in it is not finite.
     """
@@ -75,6 +76,7 @@ def estimate_document(
         "light": lit.document(),
         "timing_ms": {name: round(float(value), 3) for name, value in report.timing_ms.items()},
         "scorer": report.scorer,
+        "assumed": list(assumed),
     }
     data |= _existence(estimate, names)
     if models is not None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from service.errors import FrameConflictError, FrameGapError, IdempotencyKeyError, InputError
 from service.imaging.facts import FrameFacts
+from service.inference.params import SessionConfig
 from service.store.base import SessionRecord, StoredFrame
+
+OWN_SKY_FRAMES = (0, 1, 2, 4, 8)
+"""From which a session without empty frames learns its sky."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +69,10 @@ class FrameTime:
     seconds: float
 
 
-def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float) -> FrameTime:
+def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float, before: datetime | None) -> FrameTime:
     """The frame's time. Raises ``InputError`` for one before the previous frame's.
+
+    ``before``: when the previous frame was taken (UTC); a frame that brings no time follows it after the interval.
 
     The filter's clock must not depend on when a frame happened to arrive, or a repeated pass would differ: it
     counts the given times, and the nominal interval where there are none.
@@ -80,7 +86,8 @@ def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float) -> Fram
         seconds = record.time_s + (frame.time - previous).total_seconds()
     else:
         seconds = record.time_s + interval_s
-    return FrameTime(frame.time or frame.received, frame.time, seconds)
+    following = frame.received if before is None else before + timedelta(seconds=interval_s)
+    return FrameTime(frame.time or following, frame.time, seconds)
 
 
 def format_time(moment: datetime) -> str:
@@ -114,3 +121,37 @@ def repeated(
             f"frame {frame.index} is not the next; frame {next_index} is", field="index", expected=next_index
         )
     return None
+
+
+def learns_own_sky(config: SessionConfig, record: SessionRecord) -> bool:
+    """Whether this frame is one of those from which a session without empty frames learns its sky.
+
+    Fewer and fewer, since the object has moved little from one to the next. What was posted goes before.
+    """
+    if config.camera.background != "auto" or record.next_index not in OWN_SKY_FRAMES:
+        return False
+    if record.background_key is not None and not is_own_sky(record):
+        return False
+    return record.background_frames == OWN_SKY_FRAMES.index(record.next_index)
+
+
+def is_own_sky(record: SessionRecord) -> bool:
+    """Whether the sky was learned from frames that show the object."""
+    return (record.background_info or {}).get("source") == "auto"
+
+
+def assumed_of(config: SessionConfig, frame: FrameIn) -> list[str]:
+    """What nobody told and was taken for granted: see ``schemas.Estimate.assumed``."""
+    return [
+        *(["background"] if config.camera.background == "auto" else []),
+        *(["time"] if frame.time is None else []),
+    ]
+
+
+def known_background(image: BackgroundIn, sha256: str, frame_count: int) -> BackgroundAnswer:
+    """The answer to a background that was taken before. Raises ``IdempotencyKeyError`` for other content."""
+    if sha256 != image.sha256:
+        raise IdempotencyKeyError(
+            "the key was used for a background with other content", field="header:Idempotency-Key"
+        )
+    return BackgroundAnswer(frame_count)

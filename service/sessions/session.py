@@ -12,7 +12,7 @@ from functools import partial
 import orjson
 import structlog
 
-from service.errors import IdempotencyKeyError, NoBackgroundError, StaleOwnerError
+from service.errors import NoBackgroundError, StaleOwnerError
 from service.imaging.facts import NOTHING, FrameFacts
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
@@ -25,8 +25,12 @@ from service.sessions.frame import (
     BackgroundIn,
     FrameIn,
     FrameTime,
+    assumed_of,
     format_time,
     frame_time,
+    is_own_sky,
+    known_background,
+    learns_own_sky,
     repeated,
 )
 from service.sessions.hub import Hub
@@ -86,6 +90,7 @@ class Session:
         self._contenders = contenders
         self._pointings = Pointings(config.camera)
         self._ranging = Ranging(config)
+        self._taken: datetime | None = None  # the frame before
 
     @property
     def frame_pixels(self) -> int:
@@ -116,13 +121,16 @@ class Session:
             document = await self._rooms.database.read(frames.estimate, record.id, index)
             self._rooms.metrics.duplicates.inc()
             return Answer(index, as_duplicate(document), duplicate=True)
-        if record.background_key is None:
+        if learns_own_sky(self._config, record):
+            await self._learn(BackgroundIn(frame.body, frame.sha256, frame.media_type), own=True)
+        if self.record.background_key is None:
             raise NoBackgroundError("post a background image first", field="background")
+        await self._resume()
         facts = await self._facts(frame)
         frame = replace(frame, time=frame.time or facts.time)
-        moment = frame_time(record, frame, self._config.motion.frame_interval_s)
+        moment = frame_time(record, frame, self._config.motion.frame_interval_s, self._taken)
         known = await self._known(frame, facts, moment)
-        contenders, report = await self._track(frame, record.background_key, known)
+        contenders, report = await self._track(frame, self.record.background_key, known)
         return await self._commit(frame, known, contenders, report)
 
     async def _facts(self, frame: FrameIn) -> FrameFacts:
@@ -131,12 +139,17 @@ class Session:
             return NOTHING
         return frame.facts or await self._rooms.inspector.facts(frame.body, frame.media_type)
 
+    async def _resume(self) -> None:
+        """What is remembered of the frame before; a session that was restored reads it from the store."""
+        if self.record.next_index > 0 and not self._pointings.started:
+            document = await self._rooms.database.read(frames.estimate, self.record.id, self.record.next_index - 1)
+            estimate = await asyncio.to_thread(orjson.loads, document)
+            self._pointings.resume(estimate)
+            self._taken = datetime.fromisoformat(estimate["time"])
+
     async def _known(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> Known:
         """The camera at this frame and how it turned since the frame before, the object's range, the light."""
         record = self.record
-        if record.next_index > 0 and not self._pointings.started:  # restored: the store knows the frame before
-            document = await self._rooms.database.read(frames.estimate, record.id, record.next_index - 1)
-            self._pointings.resume(await asyncio.to_thread(orjson.loads, document))
         view = await asyncio.to_thread(self._pointings.view, record, frame, facts, moment)
         ranged = await asyncio.to_thread(self._ranging.at, moment, facts)
         lit = await asyncio.to_thread(light_at, self._config, frame.query, moment, view, ranged)
@@ -185,9 +198,9 @@ class Session:
         names = contenders[leader(contenders)].names
         models = ranking(contenders) if len(contenders) > 1 else None
         orbit = None if known.ranged is None else known.ranged.document()
-        session_id = public_id(self.record.id)
+        session_id, assumed = public_id(self.record.id), assumed_of(self._config, frame)
         document = await asyncio.to_thread(
-            estimate_document, session_id, index, text, names, report, view, models, orbit, known.lit
+            estimate_document, session_id, index, text, names, report, view, models, orbit, known.lit, assumed
         )
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(
@@ -214,6 +227,7 @@ class Session:
         self._observe(report, time.monotonic() - started)
         self._contenders = contenders
         self._pointings.passed(view)
+        self._taken = moment.utc
         self.record = replace(
             self.record,
             next_index=index + 1,
@@ -244,46 +258,38 @@ class Session:
             metrics.stage_seconds.labels(stage).observe(value / 1e3)
 
     async def _background(self, image: BackgroundIn) -> BackgroundAnswer:
-        record, database = self.record, self._rooms.database
         if image.idempotency_key is not None:
-            known = await database.read(sessions.find_background, record.id, image.idempotency_key)
+            known = await self._rooms.database.read(sessions.find_background, self.record.id, image.idempotency_key)
             if known is not None:
-                return _known_background(image, *known)
-        learned = None if record.background_key is None else await self._blob(record.background_key)
-        job = BackgroundJob(
-            config=self._config,
-            body=image.body,
-            media_type=image.media_type,
-            background=learned,
-            box=image.box,
-            border_px=image.border_px,
-            size=self._frame_size,
-        )
+                return known_background(image, *known)
+        return await self._learn(image, own=False)
+
+    async def _learn(self, image: BackgroundIn, own: bool) -> BackgroundAnswer:
+        """``own``: the image shows the object."""
+        record, database = self.record, self._rooms.database
+        mine = record.background_key if own or not is_own_sky(record) else None  # what is posted begins anew
+        learned = None if mine is None else await self._blob(mine)
+        look = image.box, image.border_px, own
+        job = BackgroundJob(self._config, image.body, image.media_type, learned, *look, size=self._frame_size)
         report = await self._rooms.engine.learn_background(record.id, job)
-        key = (await asyncio.to_thread(hashlib.sha256, report.background)).hexdigest()
         info = {name: getattr(report, name) for name in ("height", "width", "channels", "bits")}
+        info |= {"source": "auto"} if own else {}
         background = BackgroundRecord(
             session_id=record.id,
             epoch=record.epoch,
             sha256=image.sha256,
             idempotency_key=image.idempotency_key,
-            key=key,
+            key=(await asyncio.to_thread(hashlib.sha256, report.background)).hexdigest(),
             data=report.background,
             frames=report.frames,
             info=info,
             created_at=format_time(datetime.now(UTC)),
         )
         await database.write(sessions.set_background, background)
-        self.record = replace(record, background_key=key, background_frames=report.frames, background_info=info)
+        self.record = replace(
+            record, background_key=background.key, background_frames=report.frames, background_info=info
+        )
         return BackgroundAnswer(report.frames)
 
     async def _blob(self, key: str) -> bytes:
         return await self._rooms.database.read(models.get_blob, key)
-
-
-def _known_background(image: BackgroundIn, sha256: str, frame_count: int) -> BackgroundAnswer:
-    if sha256 != image.sha256:
-        raise IdempotencyKeyError(
-            "the key was used for a background with other content", field="header:Idempotency-Key"
-        )
-    return BackgroundAnswer(frame_count)

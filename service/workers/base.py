@@ -57,6 +57,7 @@ class BackgroundJob:
     background: bytes | None  # what was learned so far (opaque), or None
     box: tuple[float, float, float, float] | None = None  # x, y, w, h: learn outside of it
     border_px: float | None = None  # learn from the border only
+    own: bool = False  # it shows the object: learn from what lies around that
     size: tuple[int, int] | None = None  # width and height that the image must have
 
 

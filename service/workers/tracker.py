@@ -25,6 +25,7 @@ from service.imaging.background import Background, Sky, derive, known_pixels, le
 from service.imaging.decode import Frame as Image
 from service.imaging.features import feature_spec
 from service.imaging.overlay import draw_overlay, encode_png, for_display
+from service.imaging.own_sky import own_sky
 from service.imaging.split import SplitFrame
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
@@ -122,7 +123,8 @@ class Tracker:
             known = window.cut_mask(known_pixels(size[1], size[0], job.box, job.border_px))
             if not known.any():
                 raise ConfigError("no pixel is left to learn the background from", field="query:box")
-            background = learn(background, image.image, image.bits, spec, known)
+            shown, seen = own_sky(image.image, image.bits) if job.own else (image.image, known)
+            background = learn(background, shown, image.bits, spec, seen)
         assert background is not None and size is not None, "a decoder yields at least one frame"
         (width, height), channels = size, background.shape[2]
         return BackgroundReport(background.to_bytes(), background.n_frames, height, width, channels, background.bits)

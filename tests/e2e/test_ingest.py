@@ -142,7 +142,7 @@ def test_what_a_new_session_needs_is_said(desk):
     watch = ("ingest", "--watch", str(desk.frames), "--once")
     assert "--mesh" in (desk.run(*watch)).stderr
     mesh = ("--mesh", str(desk.root / "sat.glb"))
-    assert "--border" in (desk.run(*watch, *mesh)).stderr
+    assert "--border" in (desk.run(*watch, *mesh, "--border", "8", "--box", "1,2,3,4")).stderr
     note = desk.root / "nowhere" / "note.json"
     assert "--note" in desk.ingest("--note", str(note)).stderr
     note.parent.mkdir()

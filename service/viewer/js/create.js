@@ -87,7 +87,7 @@ export class CreateDialog {
   chooseSky() {
     const { sky, frames } = this.found;
     const moving = frames.some(isVideo);
-    this.fields.sky.value = sky.length ? "files" : moving ? "border" : "first";
+    this.fields.sky.value = sky.length ? "files" : !this.session ? "auto" : moving ? "border" : "first";
     this.fields.first.max = Math.max(frames.length - 1, 1);
     this.fields.first.value = Math.min(DEFAULT_FIRST, Math.max(frames.length - 1, 1));
     this.refresh();
@@ -163,6 +163,7 @@ export class CreateDialog {
     this.dialog.querySelector(".sky-facts").textContent = sky.length ? describe(sky) : "no folder called background or sky";
     fields.sky[0].disabled = !sky.length;
     fields.sky[1].disabled = frames.length < 2 || frames.some(isVideo);
+    fields.sky[2].disabled = Boolean(this.session); // it was decided when the session began
     for (const part of this.dialog.querySelectorAll(".later")) part.disabled = !frames.length;
     const compares = this.others.ids.length > 0;
     this.dialog.querySelector(".joints").hidden = compares || !this.model?.joints.length;
@@ -193,7 +194,8 @@ export class CreateDialog {
 
   plan() {
     const { fields, found, session } = this;
-    const sky = fields.sky.value === "files" ? found.sky : found.frames.slice(0, Number(fields.first.value));
+    const first = fields.sky.value === "first" ? found.frames.slice(0, Number(fields.first.value)) : [];
+    const sky = fields.sky.value === "files" ? found.sky : first;
     const border = fields.sky.value === "border" ? fields.border.valueAsNumber : null;
     if (session?.state === "ready") return { session, sky: [], border: null, frames: this.tracked() };
     if (session) return { session, sky, border, frames: this.tracked() };
@@ -212,6 +214,7 @@ export class CreateDialog {
       ...(others.length ? { model_ids: [this.model.model_id, ...others] } : { model_id: this.model.model_id }),
       ...(fields.name.value.trim() ? { name: fields.name.value.trim() } : {}),
       ...(joints.length ? { joints: { free: joints } } : {}),
+      ...(fields.sky.value === "auto" ? { background: "auto" } : {}),
       filter: { preset: fields.preset.value, ...filter },
       ...(rate > 0 ? { motion: { frame_interval_s: 1 / rate } } : {}),
       ...telescope(fields),

@@ -81,11 +81,18 @@ def test_track_writes_estimates_and_a_sheet(folder, tmp_path):
     assert cv2.imread(str(tmp_path / "contact_sheet.png")).shape[0] > 2 * 256
 
 
+def test_without_empty_frames_the_sky_is_that_around_the_body(folder, tmp_path):
+    arguments = ["track", "--mesh", "demo", "--frames", str(folder / "frames"), "--out", str(tmp_path)]
+    assert RUNNER.invoke(app, [*arguments, "--preset", "paper", "--particles", "50"]).exit_code == 0
+    lines = [json.loads(line) for line in (tmp_path / "estimates.jsonl").read_text().splitlines()]
+    assert [line["assumed"] for line in lines] == [["background"]] * 3
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--box", "1,2,3"], "no box"),
-        ([], "one of --background, --box, --border"),
+        (["--border", "8", "--box", "1,2,3,4"], "one of --background, --box, --border"),
         (["--border", "8", "--free", "flap"], "no joint 'flap'"),
         (["--border", "8", "--joints", "[{}]"], "joints[0].name"),
         (["--border", "8", "--preset", "best"], "preset"),

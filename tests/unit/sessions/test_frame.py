@@ -22,15 +22,21 @@ def test_times_are_utc_with_z(microsecond, text):
 
 
 def test_clock_counts_given_times_and_nominal_intervals():
-    first = frame_time(RECORD, replace(FRAME, time=T0), 0.1)
+    first = frame_time(RECORD, replace(FRAME, time=T0), 0.1, None)
     assert (first.seconds, first.utc) == (0.0, T0)
     after = replace(RECORD, time_s=5.0, time_given=T0.isoformat())
-    assert frame_time(after, replace(FRAME, time=T0 + timedelta(seconds=2.5)), 0.1).seconds == 7.5
-    assert frame_time(after, FRAME, 0.1).seconds == 5.1
+    assert frame_time(after, replace(FRAME, time=T0 + timedelta(seconds=2.5)), 0.1, T0).seconds == 7.5
+    assert frame_time(after, FRAME, 0.1, T0).seconds == 5.1
     without = replace(RECORD, time_s=5.0)
-    assert frame_time(without, replace(FRAME, time=T0), 0.1).seconds == 5.1
+    assert frame_time(without, replace(FRAME, time=T0), 0.1, T0).seconds == 5.1
     with pytest.raises(InputError):
-        frame_time(after, replace(FRAME, time=T0 - timedelta(microseconds=1)), 0.1)
+        frame_time(after, replace(FRAME, time=T0 - timedelta(microseconds=1)), 0.1, T0)
+
+
+def test_a_frame_without_a_time_follows_the_one_before():
+    assert frame_time(RECORD, FRAME, 0.1, None).utc == T0  # the first: when it came
+    later = replace(FRAME, received=T0 + timedelta(seconds=60))
+    assert frame_time(replace(RECORD, time_s=0.0), later, 0.1, T0).utc == T0 + timedelta(seconds=0.1)
 
 
 STORED = StoredFrame(3, "hash", "key")

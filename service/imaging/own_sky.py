@@ -1,0 +1,87 @@
+"""The sky of a frame that shows the object: a smooth surface through what lies around it (``camera.background`` auto).
+
+The surface is anchored at the image's border, where the object seldom is, and then fitted to all that is sky.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Map = NDArray[np.float32]
+
+_BORDER_SHARE = 12  # of the shorter side: the ring from which the first guess comes
+_ROUNDS = 4  # of outliers found and left out
+_OUTLIER_SIGMAS = 4.0  # of one pixel
+_SMOOTH_PX = 1.5
+_LIGHT_SIGMAS = 5.0  # after that smoothing
+_FAINT_SHARE = 0.15  # of an object's extent, beyond it: what the air throws there is too faint to be seen as light
+_FAINT_PX = 4
+_LEAST_SIGMA = 0.5  # counts: below it quantisation is the noise
+
+
+def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+    """The frame with a smooth sky in the place of every light, and the pixels (H, W) that do show sky.
+
+    ``image`` (H, W) or (H, W, C) of integers of so many bits; the same shape and type come back.
+    """
+    data = np.asarray(image, np.float32)
+    data = data[..., None] if data.ndim == 2 else data
+    terms = _terms(*data.shape[:2])
+    grey = data.mean(axis=2)
+    ring = _ring(*grey.shape)
+    surface, sigma = _fitted(grey, terms, ring)
+    known = ~_light(grey - surface, sigma)
+    if known.sum() < ring.sum() / 2:  # the object is nearly everywhere: the border is all there is
+        known = ring & (np.abs(grey - surface) <= _OUTLIER_SIGMAS * sigma)
+    filled = data.copy()
+    for channel in range(data.shape[2]):
+        sky, _ = _fitted(data[..., channel], terms, known)
+        filled[..., channel] = np.where(known, data[..., channel], sky)
+    whole = np.clip(np.rint(filled), 0, (1 << bits) - 1).astype(image.dtype)
+    return whole.reshape(image.shape), known
+
+
+def _terms(height: int, width: int) -> NDArray[np.float32]:
+    """(6, H, W) level, slopes and bends across the image: what stray light and vignetting leave."""
+    across, down = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
+    return np.stack([np.ones_like(across), across, down, across**2, across * down, down**2]).astype(np.float32)
+
+
+def _ring(height: int, width: int) -> NDArray[np.bool_]:
+    edge = max(2, min(height, width) // _BORDER_SHARE)
+    ring = np.ones((height, width), dtype=bool)
+    ring[edge : height - edge, edge : width - edge] = False
+    return ring
+
+
+def _fitted(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[Map, float]:
+    """The surface through the pixels that are chosen, and their noise, without what stands out: stars, hot pixels."""
+    columns, values = terms[:, where], channel[where]
+    inside = np.ones(len(values), dtype=bool)
+    level = np.zeros(len(terms), np.float32)
+    level[0] = np.median(values)
+    sigma = _LEAST_SIGMA
+    for _ in range(_ROUNDS):
+        residual = values - level @ columns
+        sigma = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_SIGMA)
+        inside = np.abs(residual) <= _OUTLIER_SIGMAS * sigma
+        chosen = columns[:, inside]
+        level = np.linalg.lstsq(chosen @ chosen.T, chosen @ values[inside], rcond=None)[0]
+    return np.tensordot(level, terms, 1).astype(np.float32), sigma
+
+
+def _light(above: Map, sigma: float) -> NDArray[np.bool_]:
+    """(H, W) where something is brighter or darker than the sky, with what lies too near to be trusted."""
+    noise = sigma / (2 * np.sqrt(np.pi) * _SMOOTH_PX)
+    light = np.abs(cv2.GaussianBlur(above, (0, 0), _SMOOTH_PX)) > _LIGHT_SIGMAS * noise
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(light.astype(np.uint8))
+    out = np.zeros(light.shape, dtype=bool)
+    for k in range(1, count):
+        left, top, width, height, _ = stats[k]
+        far = _FAINT_PX + round(_FAINT_SHARE * max(width, height))
+        rows, columns = slice(max(top - far, 0), top + height + far), slice(max(left - far, 0), left + width + far)
+        near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * far + 1, 2 * far + 1))
+        out[rows, columns] |= cv2.dilate((labels[rows, columns] == k).astype(np.uint8), near).astype(bool)
+    return out
