@@ -113,6 +113,7 @@ def run_case(
 ) -> list[CaseResult]:
     """Run all entries over a case, frame by frame; no image is kept. ``progress`` hears how many frames are done."""
     terms = terms or Terms()
+    case = terms.told.shown(case)
     referee = Referee(case)
     backgrounds = list(case.backgrounds())
     sessions = [open_session(tracker, case, entry, backgrounds, terms.told) for entry in entries]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from service.bench.cases import Case
@@ -22,6 +23,7 @@ class Told:
     sun_off_deg: float = 0.0  # told wrongly by so much
     scale: bool = False
     sky: bool = True  # empty frames; else it is learned from the frames themselves
+    stretch: float | None = None  # the frames' counts are the light to this power, and that is told
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
         """A session's configuration with what it is told. What was set already stays as it is."""
@@ -31,7 +33,29 @@ class Told:
         if self.scale and case.scale_prior is not None and config.prior.scale_px is None:
             px, sigma = case.scale_prior
             config = replace(config, prior=replace(config.prior, scale_px=px, scale_sigma=sigma))
+        if self.stretch is not None:
+            config = replace(config, camera=replace(config.camera, transfer=self.stretch))
         return config
+
+    def shown(self, case: Case) -> Case:
+        """The case as a camera would show it that stretches light."""
+        power = self.stretch
+        if power is None:
+            return case
+        return replace(
+            case,
+            backgrounds=lambda: (stretched(body, power) for body in case.backgrounds()),
+            frames=lambda: ((stretched(body, power), truth) for body, truth in case.frames()),
+        )
+
+
+def stretched(body: bytes, power: float) -> bytes:
+    """A PNG whose counts are those of another to a power, both as shares of full scale. Raises ``ValueError``."""
+    image = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError("a frame is no image")
+    top = (1 << 8 * image.dtype.itemsize) - 1
+    return cv2.imencode(".png", np.rint((image / top) ** power * top).astype(image.dtype))[1].tobytes()
 
 
 def turned(direction: Array, degrees: float) -> Array:

@@ -65,6 +65,7 @@ def track(
     nosun: Annotated[bool, typer.Option("--nosun", help="Do not tell the sessions where the Sun stands.")] = False,
     sun_off: Annotated[float, typer.Option(help="Tell them wrongly, by so many degrees.")] = 0.0,
     known_range: Annotated[bool, typer.Option("--range", help="Tell them the scale as a range gives it.")] = False,
+    stretch: Annotated[float | None, typer.Option(help="Frames whose counts are the light to this power.")] = None,
     own_sky: Annotated[
         bool, typer.Option("--own-sky", help="Give no empty frames: the sky is the frames' own.")
     ] = False,
@@ -74,7 +75,7 @@ def track(
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky))
+    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky, stretch))
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())
         selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials)

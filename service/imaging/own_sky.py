@@ -1,6 +1,7 @@
 """The sky of a frame that shows the object: a smooth surface through what lies around it (``camera.background`` auto).
 
-The surface is anchored at the image's border, where the object seldom is, and then fitted to all that is sky.
+The surface is anchored at the image's border, where the object seldom is, and then fitted to all that is sky: level,
+slopes and bends, and what is left of haze and cloud that is wide and faint beside the object.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ _SMOOTH_PX = 1.5
 _LIGHT_SIGMAS = 5.0  # after that smoothing
 _FAINT_SHARE = 0.15  # of an object's extent, beyond it: what the air throws there is too faint to be seen as light
 _FAINT_PX = 4
+_BRIGHT_SHARE = 0.1  # of the peak: light that is taken for the object's before the haze is known
+_HAZE_SHARE = 0.1  # of the image's side: what is narrower is no haze
+_HAZE_SIDE_PX = 96  # numerical: it is smooth, so it is looked for in a picture of this size
 _LEAST_SIGMA = 0.5  # counts: below it quantisation is the noise
 
 
@@ -32,12 +36,13 @@ def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic],
     grey = data.mean(axis=2)
     ring = _ring(*grey.shape)
     surface, sigma = _fitted(grey, terms, ring)
-    known = ~_light(grey - surface, sigma)
-    if known.sum() < ring.sum() / 2:  # the object is nearly everywhere: the border is all there is
-        known = ring & (np.abs(grey - surface) <= _OUTLIER_SIGMAS * sigma)
+    known = ~_light(grey - surface, sigma, _BRIGHT_SHARE)
+    known = _enough(known, ring, grey - surface, sigma)
+    surface, sigma = _sky(grey, terms, known)
+    known = _enough(~_light(grey - surface, sigma), ring, grey - surface, sigma)
     filled = data.copy()
     for channel in range(data.shape[2]):
-        sky, _ = _fitted(data[..., channel], terms, known)
+        sky, _ = _sky(data[..., channel], terms, known)
         filled[..., channel] = np.where(known, data[..., channel], sky)
     whole = np.clip(np.rint(filled), 0, (1 << bits) - 1).astype(image.dtype)
     return whole.reshape(image.shape), known
@@ -72,10 +77,43 @@ def _fitted(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) 
     return np.tensordot(level, terms, 1).astype(np.float32), sigma
 
 
-def _light(above: Map, sigma: float) -> NDArray[np.bool_]:
-    """(H, W) where something is brighter or darker than the sky, with what lies too near to be trusted."""
+def _enough(known: NDArray[np.bool_], ring: NDArray[np.bool_], above: Map, sigma: float) -> NDArray[np.bool_]:
+    """Where the object is nearly everywhere, the border is all there is."""
+    return known if known.sum() >= ring.sum() / 2 else ring & (np.abs(above) <= _OUTLIER_SIGMAS * sigma)
+
+
+def _sky(channel: Map, terms: NDArray[np.float32], known: NDArray[np.bool_]) -> tuple[Map, float]:
+    """The whole smooth surface, and the noise about it."""
+    surface, sigma = _fitted(channel, terms, known)
+    for _ in range(2):
+        left = channel - surface
+        sky = (known & (np.abs(left) <= _OUTLIER_SIGMAS * sigma)).astype(np.float32)
+        haze = _haze(left * sky, sky)
+        sigma = max(1.4826 * float(np.median(np.abs((left - haze)[known]))), _LEAST_SIGMA)
+        surface = surface + haze
+    return surface, sigma
+
+
+def _haze(light: Map, weight: Map) -> Map:
+    """(H, W) what is wide of ``light``, known where ``weight`` is; nothing where nothing is known."""
+    height, width = light.shape
+    scale = min(1.0, _HAZE_SIDE_PX / max(height, width))
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    far = _HAZE_SHARE * max(size)
+    some, seen = (
+        cv2.GaussianBlur(cv2.resize(one, size, interpolation=cv2.INTER_AREA), (0, 0), far) for one in (light, weight)
+    )
+    return np.asarray(cv2.resize(some / (seen + 1e-2), (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _light(above: Map, sigma: float, share: float = 0.0) -> NDArray[np.bool_]:
+    """(H, W) where something is brighter or darker than the sky, with what lies too near to be trusted.
+
+    ``share`` of the peak, from which on it counts, if that is more than what noise makes.
+    """
+    smooth = np.abs(cv2.GaussianBlur(above, (0, 0), _SMOOTH_PX))
     noise = sigma / (2 * np.sqrt(np.pi) * _SMOOTH_PX)
-    light = np.abs(cv2.GaussianBlur(above, (0, 0), _SMOOTH_PX)) > _LIGHT_SIGMAS * noise
+    light = smooth > max(_LIGHT_SIGMAS * noise, share * float(smooth.max()))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(light.astype(np.uint8))
     out = np.zeros(light.shape, dtype=bool)
     for k in range(1, count):

@@ -75,6 +75,9 @@ class CameraParams:
     in pixels of the whole frame; shares of the image (`prior`, `motion.position`) are those of the region."""
     binning: int = 1
     """Squares of so many pixels a side are averaged before anything else, for speed or faint objects."""
+    transfer: Literal["linear", "srgb"] | float = "linear"
+    """How light became counts, where a camera or a program has stretched them: a power p means light to the power p
+    (0.45). Everything is computed from light."""
     background: Literal["posted", "auto"] = "posted"
     """Where the empty sky is known from: frames that are posted as background; with `auto`, a smooth surface through
     what lies around the object in the first frames, unless something is posted. A request's own `background` says the
@@ -93,6 +96,8 @@ class CameraParams:
         x, y, width, height = self.roi or (0, 0, 1, 1)
         require(min(x, y) >= 0 and min(width, height) >= 1, "roi is [x, y, width, height], none of them negative")
         require(1 <= self.binning <= 64, "binning must be between 1 and 64")
+        power = 1.0 if isinstance(self.transfer, str) else self.transfer
+        require(0.1 <= power <= 10, "transfer is linear, srgb, or a power between 0.1 and 10")
 
     @property
     def origin_px(self) -> tuple[int, int]:

@@ -27,6 +27,7 @@ from service.imaging.features import feature_spec
 from service.imaging.overlay import draw_overlay, encode_png, for_display
 from service.imaging.own_sky import own_sky
 from service.imaging.split import SplitFrame
+from service.imaging.transfer import linear
 from service.inference.articulation import Articulation, hold, part_transforms
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
@@ -115,7 +116,7 @@ class Tracker:
         for whole in self._decoder.frames(job.body, job.media_type, camera.ser_byte_order):
             size = require_size(whole, size)
             window = camera_window(camera, *size)
-            image = window.cut(whole)
+            image = window.cut(linear(whole, camera.transfer))
             if background is not None:
                 require_same(image, background.shape, background.bits)
             likelihood = job.config.likelihood
@@ -137,7 +138,8 @@ class Tracker:
         """Decode a frame, measure it, and run one step of the filter."""
         began = time.perf_counter()
         whole = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
-        image = camera_window(job.config.camera, *require_size(whole, job.size)).cut(whole)
+        camera = job.config.camera
+        image = camera_window(camera, *require_size(whole, job.size)).cut(linear(whole, camera.transfer))
         likelihood = job.config.likelihood
         key = f"{job.background}:{likelihood.feature}:{likelihood.gradient_sigma_px}"
         sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))

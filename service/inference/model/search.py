@@ -44,7 +44,7 @@ _LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
 _TRIED = 60  # basins whose joints and Suns are tried anew
 _TOGETHER = 2  # joints that are tried in all combinations; more of them one after the other
 _VALUES = (8, 6)  # of each joint, alone or of two together
-_SUNS = 14
+_SUNS, _MORE_SUNS, _LIT_ANEW = 14, 48, 3  # that are tried roughly, and clearly with so many of the best
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,12 @@ def search(
     nuisance = best_spread(hill, some.poses[:3], some.suns[:3], nuisance)
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
+    if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
+        some = best_of(
+            _joined([some, *under(hill, some[np.arange(min(_LIT_ANEW, len(some.found)))], _MORE_SUNS)]),
+            SHARP.kept,
+            _SHARED_DEG,
+        )
     if alike is not None:
         first = some[np.arange(min(_MIRRORED, len(some.found)))]
         poses = alike(first.poses)
@@ -252,10 +258,14 @@ def varied(hill: Hill, some: Candidates) -> Candidates:
                 values[:, k] = joints[k].minimum + (place + 0.5) / count * (joints[k].maximum - joints[k].minimum)
             tried.append(scored(hill, replace(few, poses=replace(few.poses, joints=values))))
     if hill.told.towards_sun is None:
-        few = best_of(_joined(tried), _TRIED, _SHARED_DEG)
-        suns = (np.tile(sun, (len(few.found), 1)) for sun in directions(_SUNS))
-        tried += [scored(hill, replace(few, suns=sun)) for sun in suns]
+        tried += under(hill, best_of(_joined(tried), _TRIED, _SHARED_DEG), _SUNS)
     return _joined(tried)
+
+
+def under(hill: Hill, some: Candidates, count: int) -> list[Candidates]:
+    """The same poses under each of so many Suns."""
+    suns = (np.tile(sun, (len(some.found), 1)) for sun in directions(count))
+    return [scored(hill, replace(some, suns=sun)) for sun in suns]
 
 
 def _joined(several: Sequence[Candidates]) -> Candidates:

@@ -57,3 +57,11 @@ def test_a_body_that_is_everywhere_leaves_the_border():
     filled, known = own_sky(image, 8)
     assert known.any() and not known[10:-10, 10:-10].any()
     assert np.abs(filled.astype(int) - 30).max() <= 1
+
+
+def test_haze_is_sky_and_no_light():
+    image, body = frame(8, 1)
+    x, y = np.meshgrid(np.arange(SIDE), np.arange(SIDE))
+    hazy = np.clip(image + 4.0 * np.sin(x / 19.0) * np.cos(y / 23.0), 0, 255).astype(np.uint8)
+    _, known = own_sky(hazy, 8)
+    assert not known[body].any() and known.mean() > 0.4
