@@ -35,6 +35,22 @@ class Light:
     photon: float  # variance per count of light, counts
     hidden: float  # most light of the sky that a body can hide, counts
     censored: NDArray[np.bool_]  # at the sensor's upper end: at least so much
+    origin: tuple[int, int] = (0, 0)  # its first pixel in the frame, where it is part of one
+
+    def covers(self, square: Square) -> bool:
+        """Whether a square lies within it."""
+        (x, y), (left, top), size = square.first, self.origin, square.side * square.binning
+        height, width = self.image.shape
+        return left <= x and top <= y and x + size <= left + width and y + size <= top + height
+
+
+@dataclass(frozen=True)
+class Square:
+    """Part of a frame in squares of pixels."""
+
+    first: tuple[int, int]  # corner, frame px
+    side: int  # in squares
+    binning: int  # px a square
 
 
 @dataclass(frozen=True)
@@ -75,20 +91,24 @@ class Patch:
         return len(self.image)
 
 
-def light_of(image: NDArray[np.generic], sky: Sky, bits: int) -> Light:
-    """The light above the sky: channels weighed by their precision, so that the noise of the sum is least."""
-    data = np.asarray(image, np.float32)
+def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slice, slice] | None = None) -> Light:
+    """The light above the sky: channels weighed by their precision, so that the noise of the sum is least.
+
+    ``region``: rows and columns; nothing else is looked at.
+    """
+    rows, columns = region or (slice(0, image.shape[0]), slice(0, image.shape[1]))
+    data, mean = np.asarray(image[rows, columns], np.float32), sky.mean[rows, columns]
     data = data[..., None] if data.ndim == 2 else data
     weight = 1.0 / sky.sigma.astype(np.float64) ** 2
     weight /= weight.sum()
-    above = ((data - sky.mean) @ weight).astype(np.float32)
+    share = weight.astype(np.float32)
+    above = np.asarray((data - mean) @ share, np.float32)
     sigma = float(np.sqrt(np.sum((weight * sky.sigma) ** 2)))
     photon = _photon_transfer(above, sigma)
-    level = max(float(np.median(sky.mean @ weight)), 0.0)
+    level = max(float(np.median(mean @ share)), 0.0)
     hidden = min(level, sigma**2 / photon)
-    top = data.max(axis=2)
-    censored = top >= (1 << bits) - 1
-    return Light(above, sigma, photon, hidden, censored)
+    censored = data.max(axis=2) >= (1 << bits) - 1
+    return Light(above, sigma, photon, hidden, censored, (columns.start, rows.start))
 
 
 def _photon_transfer(above: Map, sigma: float) -> float:
@@ -143,18 +163,26 @@ def find_light(light: Light, *, specks: bool = False) -> Box | None:
         rest &= ~near
         found = boxes[near]
         whole = np.concatenate([np.minimum(whole[:2], found[:, :2].min(0)), np.maximum(whole[2:], found[:, 2:].max(0))])
-    return Box(*(float(v) for v in whole))
+    x, y = light.origin
+    return Box(*(float(v) for v in whole + np.array([x, y, x, y])))
 
 
-def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float) -> Patch:
+def square_around(centre: tuple[float, float], span_px: float, wanted: float) -> Square:
     """The square around ``centre`` that holds a body spanning ``span_px``, binned so that it spans about ``wanted``."""
     binning = max(1, round(span_px / wanted))
     margin = max(_MARGIN * span_px, _LEAST_MARGIN_PX * binning)
     side = int(np.ceil((span_px + 2 * margin) / binning))
     side += -side % 16  # rows of whole lanes
-    first = [int(np.floor(c - 0.5 * side * binning)) for c in centre]
+    x, y = (int(np.floor(c - 0.5 * side * binning)) for c in centre)
+    return Square((x, y), side, binning)
+
+
+def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float) -> Patch:
+    """The light of a square (``square_around``); what lies beyond ``light`` is not known."""
+    square = square_around(centre, span_px, wanted)
+    side, binning = square.side, square.binning
     height, width = light.image.shape
-    columns, rows = (first[k] + np.arange(side * binning) for k in (0, 1))
+    columns, rows = (square.first[k] - light.origin[k] + np.arange(side * binning) for k in (0, 1))
     inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
     index = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
     image = np.where(inside, light.image[index], 0.0).astype(np.float32)
@@ -166,6 +194,6 @@ def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float
         photon=light.photon / binning**2,
         hidden=light.hidden,
         censored=censored.reshape(blocks).any(axis=(1, 3)),
-        origin=(float(first[0]), float(first[1])),
+        origin=(float(square.first[0]), float(square.first[1])),
         binning=binning,
     )

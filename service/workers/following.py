@@ -29,7 +29,7 @@ from service.workers.base import FrameJob
 from service.workers.cache import Cache
 from service.workers.full_frame import in_full_frame, in_window, scale_in_window
 from service.workers.lit_body import LitBody
-from service.workers.lit_frame import LightOfFrame
+from service.workers.lit_frame import LightOfFrame, region_of
 from service.workers.smoothing import belief_after, with_rates
 
 _BANKS, _BANK_BYTES = 8, 1 << 29  # 90 MB each, 280 of a body with two joints
@@ -61,7 +61,8 @@ class Following:
         told = told_of(config, domain, job.light)
         key = f"{job.model}:{articulation}"
         body = self._bodies.get(key, lambda: LitBody(mesh, articulation)).body
-        frame = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px)
+        region = region_of(job.state, job.time_s, mesh.radius, (height, width))
+        frame = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region)
         bank = partial(self._bank, key, body, told)
         given = Given(frame, body, bank, told, config, domain, twins, job.frame_index, job.time_s)
         stream = np.array([config.filter.seed, job.frame_index], np.uint64)

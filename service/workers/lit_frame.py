@@ -8,18 +8,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.background import Sky
-from service.imaging.patch import Box, cut, find_light, light_of
+from service.imaging.patch import Box, Light, Patch, cut, find_light, light_of, square_around
 from service.imaging.psf import estimate_psf_sigma
+from service.inference.model import existence
 from service.inference.model.prior import CORE_PX
 from service.inference.model.stages import Sight
+from service.inference.state import FilterState
+
+Region = tuple[slice, slice]  # rows and columns of a frame
+_AROUND = 2.0  # radii of the body about where it is expected
+_MARGIN_PX = 32
+_WORTH = 0.5  # of the frame's pixels: a region that is larger saves nothing
+"""Numerical: where the object is not found in its region, the whole frame is looked at."""
+
+
+def region_of(state: FilterState | None, time_s: float, radius: float, shape: tuple[int, int]) -> Region | None:
+    """Where the heaviest mode of a track should be in a frame of (H, W) pixels; None: anywhere.
+
+    ``radius`` of the body, model units.
+    """
+    held = None if state is None else state.mixture
+    if state is None or held is None or held.existence[existence.FITS] < 0.5:
+        return None
+    lead, dt_s = int(np.argmax(held.log_weights)), max(time_s - state.time_s, 0.0)
+    centre = held.poses.position[lead] + held.rates[lead, 3:5] * dt_s
+    half = _AROUND * radius * float(np.exp(held.poses.log_scale[lead])) + _MARGIN_PX
+    low = np.maximum(np.floor(centre - half), 0).astype(int)
+    high = np.minimum(np.ceil(centre + half), shape[::-1]).astype(int)
+    if (high <= low).any() or np.prod(high - low) > _WORTH * np.prod(shape):
+        return None
+    return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
 
 
 class LightOfFrame:
-    """One frame above its sky."""
+    """One frame above its sky; ``region``: where the object is expected."""
 
-    def __init__(self, image: NDArray[np.generic], sky: Sky, bits: int, psf_px: float | None) -> None:
-        self._light = light_of(image, sky, bits)
-        self._psf_px = psf_px
+    def __init__(
+        self,
+        image: NDArray[np.generic],
+        sky: Sky,
+        bits: int,
+        psf_px: float | None,
+        region: Region | None = None,
+    ) -> None:
+        self._image, self._sky, self._bits = image, sky, bits
+        self._psf_px, self._region = psf_px, region
 
     @cached_property
     def sight(self) -> Sight | None:
@@ -40,6 +73,31 @@ class LightOfFrame:
         return self._seen((float(centre[0]), float(centre[1])), span_px, psf_px)
 
     @cached_property
+    def _whole(self) -> Light:
+        return light_of(self._image, self._sky, self._bits)
+
+    @cached_property
+    def _light(self) -> Light:
+        """Of the region, if the object's light ends within it; else of the whole frame."""
+        if self._region is None:
+            return self._whole
+        light = light_of(self._image, self._sky, self._bits, self._region)
+        box = find_light(light)
+        return light if box is not None and self._ends_within(box) else self._whole
+
+    def _ends_within(self, box: Box) -> bool:
+        assert self._region is not None
+        rows, columns = self._region
+        height, width = self._image.shape[:2]
+        beyond = (
+            (box.left <= columns.start and columns.start > 0)
+            or (box.top <= rows.start and rows.start > 0)
+            or (box.right >= columns.stop and columns.stop < width)
+            or (box.bottom >= rows.stop and rows.stop < height)
+        )
+        return not beyond
+
+    @cached_property
     def _box(self) -> Box | None:
         return find_light(self._light)
 
@@ -53,4 +111,8 @@ class LightOfFrame:
         return None if box is None else self._seen(box.centre, box.side, self._psf)
 
     def _seen(self, centre: tuple[float, float], span_px: float, psf_px: float) -> Sight:
-        return Sight(lambda span, wanted: cut(self._light, centre, span, wanted), span_px, psf_px)
+        def patch(span: float, wanted: float) -> Patch:
+            light = self._light if self._light.covers(square_around(centre, span, wanted)) else self._whole
+            return cut(light, centre, span, wanted)
+
+        return Sight(patch, span_px, psf_px)

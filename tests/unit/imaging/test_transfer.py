@@ -17,7 +17,9 @@ def test_a_power_is_taken_back(power, top):
     counts = np.rint(LIGHT**power * top).astype(np.uint8 if top == 255 else np.uint16)
     found = linear(as_frame(counts), power)
     assert (found.bits, found.image.dtype) == (16, np.uint16)
-    low, high = (np.clip(counts.astype(float) + side, 0, top) / top for side in (-0.5, 0.5))  # what is rounded to the same count
+    low, high = (
+        np.clip(counts.astype(float) + side, 0, top) / top for side in (-0.5, 0.5)
+    )  # what is rounded to the same count
     assert (found.image >= low ** (1 / power) * 65535 - 1).all()
     assert (found.image <= high ** (1 / power) * 65535 + 1).all()
 
