@@ -43,7 +43,7 @@ class SequenceFolder:
             size=(int(described["width"]), int(described["height"])),
             backgrounds=self._backgrounds,
             frames=lambda: self._frames(names),
-            symmetries=listed_symmetries(file),
+            symmetries=listed_symmetries(file, described.get("symmetry", ())),
             facts=_facts(described.get("note", "")),
             towards_sun=_direction(described.get("light", {}).get("towards_sun")),
             scale_prior=_scale_prior(described.get("scale_prior")),
@@ -82,13 +82,16 @@ def find_sequences(folder: Path, names: Sequence[str] = (), meshes: Path | None 
     return [SequenceFolder(path, extra) for path in found if not names or path.name in names]
 
 
-def listed_symmetries(mesh: Path) -> tuple[Array, ...] | None:
-    """The orthogonal matrices that ``symmetry.json`` beside a mesh lists for it; None where it lists none."""
+def listed_symmetries(mesh: Path, told: Sequence[Any] = ()) -> tuple[Array, ...] | None:
+    """The orthogonal matrices that ``symmetry.json`` beside a mesh lists for it, and those that its case tells.
+
+    None where there is neither.
+    """
     file = mesh.parent / "symmetry.json"
     listed = json.loads(file.read_text()) if file.is_file() else {}
-    if mesh.name not in listed:
+    if mesh.name not in listed and not told:
         return None
-    return tuple(np.array(matrix, dtype=np.float64) for matrix in listed[mesh.name])
+    return tuple(np.array(matrix, dtype=np.float64) for matrix in (*listed.get(mesh.name, ()), *told))
 
 
 def _facts(note: str) -> dict[str, float]:
