@@ -104,7 +104,7 @@ class Client:
         name: str | None = None,
         **sections: Unpack[Sections],
     ) -> schemas.Session:
-        """Begin a session. ``sections``: filter, likelihood, prior, motion, camera, joints, each a dictionary."""
+        """Begin a session. ``sections``: filter, likelihood, prior, motion, camera, joints, light: dictionaries."""
         return self.call(calls.create_session({"model_id": model_id, "model_ids": model_ids, "name": name, **sections}))
 
     def session(self, session_id: str) -> schemas.Session:

@@ -20,6 +20,7 @@ class Sections(TypedDict, total=False):
     camera: dict[str, Any]
     joints: dict[str, Any]
     light: dict[str, Any]
+    background: Literal["posted", "auto"]
 
 
 class Region(TypedDict, total=False):

@@ -105,7 +105,7 @@ def test_what_the_service_refuses_is_told(tracker, folder, tmp_path, open_page):
     for n, path in enumerate(sorted((folder / "frames").iterdir())[:3]):
         (odd / path.name).write_bytes(path.read_bytes() if n < 2 else b"no picture")
     page.set_input_files("input[name=folder]", odd)
-    page.get_by_role("radio", name=re.compile("^No empty frame")).check()
+    page.get_by_role("radio", name=re.compile("^No empty frame: learn from a margin")).check()
     page.get_by_role("button", name="Track 3 frames").click()
     question = page.get_by_role("dialog", name="The service refused a file")
     expect(question).to_contain_text(Path(path).name)

@@ -49,9 +49,9 @@ def test_models_are_compared(server, open_page, frames, models):
     expect(page.get_by_role("checkbox", name="panel")).to_be_hidden()
     expect(page.get_by_role("checkbox", name="Estimate the moving parts of each")).to_be_checked()
     page.get_by_role("checkbox", name="Aqua").uncheck()
-    asked = begun(page, page.get_by_role("button", name="Track 1 frame").click)
+    asked = begun(page, page.get_by_role("button", name="Track 4 frames").click)
     assert asked["model_ids"] == [models["Hubble"], models["Terra"]]
-    assert "model_id" not in asked
+    assert "model_id" not in asked and asked["background"] == "auto"
     assert asked["joints"] == {"free": "all"}
 
 
@@ -69,7 +69,7 @@ def test_telescope_site_and_orbit(server, open_page, frames, models):
     page.get_by_label("The image is a mirror image of the sky").check()
     page.get_by_label("Orbit").fill(TLE)
     page.get_by_label("Metres in a unit of the model").fill("1")
-    asked = begun(page, page.get_by_role("button", name="Track 1 frame").click)
+    asked = begun(page, page.get_by_role("button", name="Track 4 frames").click)
     assert asked["camera"] == {
         "mount": "altaz",
         "up_angle_deg": 12.5,
@@ -91,8 +91,8 @@ def test_what_the_service_refuses_of_them_is_told(server, open_page, frames, mod
     page.locator("select[name=model]").select_option("Terra")
     page.get_by_text("Telescope, site and orbit").click()
     page.get_by_label("Latitude").fill("10")
-    page.get_by_role("button", name="Track 1 frame").click()
+    page.get_by_role("button", name="Track 4 frames").click()
     expect(page.locator("#create .problem")).to_contain_text("a site has a latitude and a longitude")
     page.get_by_label("Longitude").fill("20")
     page.get_by_label("Mount").select_option("altaz")
-    assert "site_longitude_deg" in begun(page, page.get_by_role("button", name="Track 1 frame").click)["camera"]
+    assert "site_longitude_deg" in begun(page, page.get_by_role("button", name="Track 4 frames").click)["camera"]
