@@ -10,6 +10,7 @@ from service.cli.doctor import doctor
 from service.cli.export import export
 from service.cli.ingest import ingest
 from service.cli.keys import keys
+from service.cli.model import model
 from service.cli.openapi import openapi
 from service.cli.serve import serve
 from service.cli.simulate import simulate
@@ -26,6 +27,7 @@ app.command()(export)
 app.command()(openapi)
 app.add_typer(bench)
 app.add_typer(keys)
+app.add_typer(model)
 
 
 def main() -> None:

@@ -51,7 +51,6 @@ def belief_of(state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> 
     labels = cluster(poses, state.log_weights, metric_of(domain.articulation))
     share = np.bincount(labels, weights=weights)
     heaviest = [int(k) for k in np.argsort(-share)[:MOST_MODES] if share[k] >= LEAST_MODE]
-    unknown = np.asarray(state.memory.get("rate_variance", np.zeros(domain.n_tangent)), dtype=np.float64)
     means, rate_means, covariances = [], [], []
     for k in heaviest:
         members = np.flatnonzero(labels == k)
@@ -60,8 +59,6 @@ def belief_of(state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> 
         rate = inner @ rates[members]
         x = np.hstack([tangent(mean, poses[members], domain.wrapping), rates[members] - rate])
         covariance = np.einsum("n,ni,nj->ij", inner, x, x)
-        # Particles that carry the mean of their own rate share the variance about it (``motion.RateFilter``).
-        covariance[domain.n_tangent :, domain.n_tangent :] += np.diag(unknown)
         means.append(mean)
         rate_means.append(rate)
         covariances.append(covariance)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,34 +34,17 @@ def carry_on(poses: Poses, rates: Array, dt_s: float) -> Poses:
 
 
 @dataclass(frozen=True)
-class RateFilter:
-    """What is known of the rates, given the path of a particle: a Kalman filter per tangent coordinate.
+class MotionNoise:
+    """Over dt a pose moves by v dt plus jitter of variance q dt, and its rate v by a random step of variance r dt."""
 
-    A particle's path is taken as exact (Rao-Blackwellisation; Doucet, de Freitas, Murphy, Russell 2000): its rate v
-    has a mean of its own and a variance V that all particles share, since it depends on times alone. Over dt a pose
-    moves by v dt plus jitter of variance q dt, and the rate by a random step of variance r dt.
-    """
-
-    variance: Array  # (6 + J,) V, tangent units^2 / s^2
+    variance: Array  # (6 + J,) V of a rate that nothing is known of, tangent units^2 / s^2
     jitter: Array  # (6 + J,) q, tangent units^2 / s
     change: Array  # (6 + J,) r, tangent units^2 / s^3
 
-    def prediction_variance(self, dt_s: float) -> Array:
-        """(6 + J,) variance of a pose after ``dt_s``, about the particle's own prediction."""
-        return self.variance * dt_s**2 + self.change * dt_s**3 / 3 + self.jitter * dt_s
 
-    def update(self, rates: Array, shift: Array, dt_s: float) -> tuple[Array, RateFilter]:
-        """Rates (N, 6 + J) after a frame in which the poses ended ``shift`` (N, 6 + J) from their predictions."""
-        predicted = self.variance + self.change * dt_s
-        gain = predicted * dt_s / (predicted * dt_s**2 + self.jitter * dt_s)
-        return rates + gain * shift, replace(self, variance=(1 - gain * dt_s) * predicted)
-
-
-def rate_filter(params: MotionParams, domain: Domain, variance: Array | None) -> RateFilter:
-    """The filter of a session; ``variance`` is that of the frame before, None before there was one."""
+def motion_noise(params: MotionParams, domain: Domain) -> MotionNoise:
+    """Of a session."""
     jitter = diffusion(params, domain)
     if params.kind == "jitter":
-        return RateFilter(np.zeros_like(jitter), jitter**2, np.zeros_like(jitter))
-    if variance is None:
-        variance = (params.rate_spread * jitter) ** 2
-    return RateFilter(variance, jitter**2, (params.rate_change * jitter) ** 2)
+        return MotionNoise(np.zeros_like(jitter), jitter**2, np.zeros_like(jitter))
+    return MotionNoise((params.rate_spread * jitter) ** 2, jitter**2, (params.rate_change * jitter) ** 2)

@@ -30,26 +30,19 @@ class FilterParams:
 
     preset: Literal["balanced", "paper"] = "balanced"
     """Where every other default comes from. `paper` is the published method, nothing else."""
-    method: Literal["auto", "mixture", "importance", "tempered", "bootstrap"] = "auto"
-    """`bootstrap`: resample, jitter, weigh, once a frame (the paper). `tempered`: approach the frame's likelihood in
-    steps, resample and move the particles after each. `importance`: adapt a proposal to each mode, tempered likewise,
-    and draw the particles from it with their exact weights. `mixture`: modes that explain the light itself, the Sun
-    told or not (docs/model.md). `auto`: `mixture` where OpenCL has a device; `importance` where it has none, in a
-    session that compares models, and in one that names a `backend`."""
+    method: Literal["auto", "mixture", "importance", "bootstrap"] = "auto"
+    """`bootstrap`: resample, jitter, weigh, once a frame (the paper). `importance`: adapt a proposal to each mode, in
+    steps of the likelihood's power, and draw the particles from it with their exact weights. `mixture`: modes that
+    explain the light itself, the Sun told or not (docs/model.md). `auto`: `mixture` where OpenCL has a device;
+    `importance` where it has none, in a session that compares models, and in one that names a `backend`."""
     particles: int = 1000
     """Particles carried from frame to frame."""
     seed: int = 0
     """Same seed and same frames, same estimates."""
     resampler: Literal["multinomial", "systematic", "stratified", "residual"] = "systematic"
     """`multinomial` is the paper's Eq. 6."""
-    target_ess: float = 0.5
-    """`tempered`: the likelihood is approached as fast as the effective sample size stays at this share."""
-    moves: int = 6
-    """`tempered`: least number of steps with a move in each frame."""
     acquisition_particles: int = 6000
     """Rotations that are tried when nothing is known."""
-    acquisition_moves: int = 4
-    """`tempered`: least number of steps with a move when acquiring."""
     backend: Literal["auto", "outline", "opengl", "cpu", "cpu-mt", "reference"] = "auto"
     """What sums the map under the silhouettes. `auto`: outlines on the fastest device, on the next one where a device
     fails. `outline`: the same on the first device, or not at all. `opengl`: drawn by OpenGL, summed by OpenCL (the
@@ -73,13 +66,10 @@ class FilterParams:
     def __post_init__(self) -> None:
         require(1 <= self.particles <= 10_000_000, "particles must be between 1 and 10,000,000")
         require(0 <= self.seed < 2**63, "seed must be between 0 and 2^63 - 1")
-        require(0 < self.target_ess < 1, "target_ess must lie between 0 and 1")
         on_device = self.method == "bootstrap" and self.resampler in ("multinomial", "systematic")
         require(self.step != "device" or on_device, "step device is for bootstrap, multinomial or systematic")
         require(1 <= self.least_particles <= 10_000_000, "least_particles must be between 1 and 10,000,000")
         require(1 <= self.enough_ess <= 1e7, "enough_ess must be between 1 and 10,000,000")
-        require(1 <= self.moves <= 1000, "moves must be between 1 and 1000")
-        require(1 <= self.acquisition_moves <= 1000, "acquisition_moves must be between 1 and 1000")
         require(
             1 <= self.acquisition_particles <= 10_000_000,
             "acquisition_particles must be between 1 and 10,000,000",

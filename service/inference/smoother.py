@@ -20,7 +20,7 @@ from service.inference.belief import Belief
 from service.inference.domain import Domain
 from service.inference.estimate import tangent
 from service.inference.modes import LEAST_MODE, MOST_MODES
-from service.inference.motion import RateFilter, carry_on
+from service.inference.motion import MotionNoise, carry_on
 from service.inference.pose import concatenate, exp_so3, retract, rotation_matrices
 from service.inference.state import Array, Poses
 from service.inference.symmetry import Symmetry, twin, twin_rates
@@ -36,7 +36,7 @@ _STEP = 1e-5  # of a difference quotient
 class Space:
     """What the smoother knows of the session."""
 
-    motion: RateFilter  # ``variance``: of a rate that nothing is known of
+    motion: MotionNoise  # ``variance``: of a rate that nothing is known of
     domain: Domain
     twins: Sequence[Symmetry] = ()
 
@@ -109,7 +109,7 @@ class Forecast:
         return log_density, gain @ gaps[k], covariance
 
 
-def predict(mode: Gaussian, dt_s: float, widening: float, motion: RateFilter) -> Forecast:
+def predict(mode: Gaussian, dt_s: float, widening: float, motion: MotionNoise) -> Forecast:
     """Carry a mode on by its rates, with the noise that the filter's own prediction has."""
     d = len(mode.rate)
     turn = mode.rate[:3] * dt_s

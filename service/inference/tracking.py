@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from service.inference.acquisition import Evidence, find_evidence, place
 from service.inference.domain import Domain
-from service.inference.metropolis import follow_by_moves, strew
 from service.inference.mixture import Draws, join, posterior
 from service.inference.modes import LEAST_MODE, MOST_MODES, cluster, distance
 from service.inference.motion import carry_on
@@ -74,8 +73,6 @@ def renewal_due(age: float) -> bool:
 
 def follow(update: Update) -> Draws:
     """Carry every mode on by its rates and weigh it by the frame."""
-    if update.config.filter.method == "tempered":
-        return follow_by_moves(update)
     draws = mixture_posterior(update, predicted_components(update), update.exponent())
     return replace(draws, memory={"surprise": lately(update, "surprise", float(draws.memory["surprise"]), 1.0)})
 
@@ -123,8 +120,6 @@ def search(update: Update, evidence: Evidence, tracked: Draws | None, glance: bo
     anchor = None if tracked is None else tracked.poses[top : top + 1]
     islands = search_islands(update, evidence, anchor, glance)
     if tracked is None:
-        if update.config.filter.method == "tempered":
-            return strew(update, islands)
         parts = island_components(update, islands, log_occam(update, len(islands)))
         exponent = update.exponent(update.misfit(evidence, islands.best, islands.log_likelihood))
         return replace(mixture_posterior(update, parts, exponent), memory={})
@@ -156,8 +151,6 @@ def even_start(update: Update) -> float:
     The track was as wide when it was found. Without this the frames that have narrowed it since would count for it
     a second time, and a newcomer with the better silhouette could hardly ever take its place.
     """
-    if update.config.filter.method == "tempered":
-        return 0.0
     track = predicted_components(update)[0].covariance
     reach = search_reach(update.domain)
     return max(0.0, float(np.sum(np.log(reach)) - 0.5 * np.linalg.slogdet(track)[1]))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from service.inference.acquisition import Evidence
 from service.inference.domain import Domain
 from service.inference.modes import Metric, metric_of
-from service.inference.motion import RateFilter, rate_filter
+from service.inference.motion import MotionNoise, motion_noise
 from service.inference.params import SessionConfig
 from service.inference.slope import Slope
 from service.inference.state import Array, FilterState, Frame, Poses
@@ -106,12 +106,9 @@ class Update:
         return np.asarray(self.state.memory[name], dtype=np.float64)
 
     @cached_property
-    def rates(self) -> RateFilter:
-        """What earlier frames tell of the rates of a particle, given its path."""
-        known = None
-        if self.state is not None and "rate_variance" in self.state.memory:
-            known = self.recall("rate_variance", 0.0)
-        return rate_filter(self.config.motion, self.domain, known)
+    def rates(self) -> MotionNoise:
+        """How poses and rates change."""
+        return motion_noise(self.config.motion, self.domain)
 
     def misfit(self, evidence: Evidence, poses: Poses, log_likelihood: Array) -> float:
         """What the best of the silhouettes leaves unexplained of the light and covers in vain: nats per pixel of the

@@ -1,4 +1,4 @@
-"""Weights in the log domain: normalise, effective sample size, tempering."""
+"""Weights in the log domain: normalise, effective sample size."""
 
 from __future__ import annotations
 
@@ -30,23 +30,3 @@ def normalise(log_weights: Array) -> tuple[Array, float]:
 def effective_sample_size(log_weights: Array) -> float:
     """1 / sum of squared normalised weights (Kong), between 1 and N."""
     return float(np.exp(2 * log_sum_exp(log_weights) - log_sum_exp(2 * log_weights)))
-
-
-def next_exponent(log_weights: Array, log_likelihood: Array, exponent: float, last: float, target: float) -> float:
-    """The next tempering exponent beta in (exponent, last].
-
-    The largest one for which the effective sample size, as a share of N, stays at ``target`` after weighing by
-    ``likelihood ** (beta - exponent)`` (Jasra et al. 2011, adaptive tempering).
-    """
-    from scipy.optimize import brentq  # the web process, which restarts fast, never comes here
-
-    n = len(log_weights)
-
-    def excess(beta: float) -> float:
-        return effective_sample_size(log_weights + (beta - exponent) * log_likelihood) / n - target
-
-    if excess(last) >= 0:
-        return last
-    if excess(exponent) <= 0:  # the weights already are that uneven: take a small step instead of none
-        return min(last, exponent + 1e-6 + 0.01 * (last - exponent))
-    return float(brentq(excess, exponent, last, rtol=1e-3, xtol=1e-12))

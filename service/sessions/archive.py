@@ -144,7 +144,7 @@ class Archive:
         ranked = None if estimate is None else estimate.get("models")
         key = model_key(record.tenant, ranked[0]["model_id"]) if ranked else record.model_id
         model = await self.database.read(models.get, key)
-        return model, session_config.parse(orjson.dumps(record.config))
+        return model, session_config.stored(record.config)
 
     async def _blob(self, key: str) -> bytes:
         return await self.database.read(models.get_blob, key)

@@ -8,8 +8,6 @@ from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 
-import orjson
-
 from service.imaging.split import PNG, SplitFrame
 from service.sessions import config as session_config
 from service.sessions.frame import Answer, FrameIn
@@ -35,7 +33,7 @@ class Batches:
     async def track(self, session_id: SessionKey, whole: FrameIn) -> AsyncIterator[Answer]:
         """One answer per frame. Raises what a frame posted singly would; the frames before it stay tracked."""
         owner = await self._registry.get(session_id)
-        config = session_config.parse(orjson.dumps(owner.record.config))
+        config = session_config.stored(owner.record.config)
         job = SplitJob(whole.body, whole.media_type, config.camera.ser_byte_order)
         parts: Sequence[SplitFrame] = await self._engine.transport.call(session_id, "split", job)
         believed = config.camera.headers == "use"

@@ -146,7 +146,7 @@ def unpack(
     """
     try:
         given = read_header(packed.session.tobytes())
-        given["config"] = session_config.document(session_config.parse(orjson.dumps(given["config"])))  # every section
+        given["config"] = session_config.document(session_config.stored(given["config"]))  # every section
         history = read_history(packed.history.tobytes())
         model = models[0]
         compared = () if packed.compared is None else unpack_models(packed.compared, models)
@@ -180,7 +180,7 @@ def unpack(
 
 def _checked(stored: StoredSession, history: History, check_estimate: EstimateCheck) -> list[RestoreJob]:
     record, newest = stored.record, history["estimates"][-1]["document"] if history["estimates"] else None
-    config = session_config.parse(orjson.dumps(record.config))
+    config = session_config.stored(record.config)
     names = {}
     for model in [one.model for one in stored.compared] or [stored.model]:
         articulation = articulation_of(model)

@@ -13,6 +13,7 @@ from service.errors import ConfigError
 from service.inference.articulation import Articulation
 from service.inference.params import SessionConfig, preset_defaults
 
+_RETIRED_FILTER = ("target_ess", "moves", "acquisition_moves")  # of the method `tempered`, which went with them
 CONFIG: TypeAdapter[SessionConfig] = TypeAdapter(SessionConfig)
 
 
@@ -35,6 +36,20 @@ def parse(document: bytes) -> SessionConfig:
         return CONFIG.validate_json(document, strict=True)
     except ValidationError as error:
         raise _config_error(error) from error
+
+
+def stored(document: Mapping[str, Any]) -> SessionConfig:
+    """The configuration of a session that may have been stored by an earlier version: what is no more is left out.
+
+    Raises ``ConfigError``.
+    """
+    sections = {name: dict(values) for name, values in document.items()}
+    chosen = sections.get("filter", {})
+    for name in _RETIRED_FILTER:
+        chosen.pop(name, None)
+    if chosen.get("method") == "tempered":
+        chosen["method"] = "importance"
+    return parse(orjson.dumps(sections))
 
 
 def document(config: SessionConfig) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from typing import Any
 from weakref import WeakValueDictionary
 
-import orjson
 import structlog
 
 from service.errors import StaleOwnerError, StoppingError, StorageError
@@ -193,7 +192,7 @@ class Registry:
         if isinstance(claimed, Instance):
             return claimed
         record, state = claimed
-        config = session_config.parse(orjson.dumps(record.config))
+        config = session_config.stored(record.config)
         owner = Session(self._rooms, record, config, await self._contenders(record, config, state))
         self._resident[session_id] = owner
         log.info("session restored", session_id=session_id, next_index=record.next_index)

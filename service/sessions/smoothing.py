@@ -81,7 +81,7 @@ class SmoothedPages:
     async def _smooth(self, record: SessionRecord, after: int, count: int) -> _Stretch:
         model, others = await _leader(self._database, record, after)
         stored = await self._database.read(frames.belief_page, record.id, after)
-        config = session_config.parse(orjson.dumps(record.config))
+        config = session_config.stored(record.config)
         before = next((row.time_s for row in stored if row.index == after), None)
         rows = [replace(row, belief=None) if row.index in others else row for row in stored if row.index > after]
         report = await self._engine.smooth(_job(config, record, model, rows, max(count, AHEAD)))

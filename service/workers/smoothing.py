@@ -10,7 +10,7 @@ import numpy as np
 from service.inference.articulation import hold
 from service.inference.belief import Belief, belief_of, belief_of_mixture, rates_near
 from service.inference.domain import Domain
-from service.inference.motion import rate_filter
+from service.inference.motion import motion_noise
 from service.inference.rotation_rate import rotation_rate
 from service.inference.smoothed import summarise_belief
 from service.inference.smoother import Space, smooth
@@ -32,7 +32,7 @@ def smooth_pass(job: SmoothJob) -> SmoothReport:
     filtered = [None if packed is None else decode(Belief, packed) for packed in job.beliefs]
     each = any(belief is not None and belief.each for belief in filtered)
     told = held_symmetries(() if each else job.twins, job.articulation, articulation)
-    space = Space(rate_filter(job.config.motion, domain, None), domain, told)
+    space = Space(motion_noise(job.config.motion, domain), domain, told)
     with_rates = job.config.motion.kind == "constant_velocity"
     found = smooth(filtered, space)[: job.count]
     told_of = (None if b is None else summarise_belief(b, told, domain, with_rates) for b in found)

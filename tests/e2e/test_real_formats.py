@@ -27,8 +27,6 @@ SMALL = {
     "method": "importance",
     "particles": 100,
     "acquisition_particles": 200,
-    "acquisition_moves": 2,
-    "moves": 2,
     "seed": 5,
 }
 TIME = "2026-11-20T03:04:05.500"
@@ -128,7 +126,8 @@ def references(client, model_id) -> dict[bool, dict]:
 def test_the_same_pixels_have_the_same_answer(client, model_id, references, name):
     media, write, is_deep = FORMATS[name]
     found = tracked(client, model_id, media, write, is_deep)
-    assert comparable(found) == comparable(references[is_deep])
+    told = {"assumed": None}  # a FITS file brings its time
+    assert comparable(found) | told == comparable(references[is_deep]) | told
     if name.startswith("fits"):
         assert found["time"] == f"{TIME}Z"
 

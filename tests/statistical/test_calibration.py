@@ -12,7 +12,7 @@ from scipy import stats
 from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.domain import Domain
 from service.inference.mixture import Draws, posterior
-from service.inference.motion import rate_filter
+from service.inference.motion import motion_noise
 from service.inference.params import FilterParams, LikelihoodParams, MotionParams, PriorParams, SessionConfig
 from service.inference.pose import local, retract
 from service.inference.proposal import Component
@@ -110,7 +110,7 @@ CONFIG = SessionConfig(
     likelihood=LikelihoodParams(exponent=1.0),
     motion=MotionParams(rotation_deg=1.0, position=0.005, rate_spread=3.0, joint_range=0.002),
 )
-MOTION = rate_filter(CONFIG.motion, DOMAIN, None)
+MOTION = motion_noise(CONFIG.motion, DOMAIN)
 UNIT = np.sqrt(MOTION.jitter)
 DT_S = 0.2
 

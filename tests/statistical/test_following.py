@@ -11,7 +11,7 @@ import pytest
 
 from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.domain import Domain
-from service.inference.motion import rate_filter
+from service.inference.motion import motion_noise
 from service.inference.params import FilterParams, LikelihoodParams, MotionParams, PriorParams, SessionConfig
 from service.inference.pose import local, retract
 from service.inference.state import FilterState, Frame, Measurement, Poses
@@ -26,7 +26,7 @@ MOTION = MotionParams(rotation_deg=0.5, position=0.005, rate_spread=4.0, joint_r
 ORIGIN = Poses(np.array([[0.5, -0.5, 0.5, 0.5]]), np.array([[200.0, 200.0]]), np.array([1.0]), np.array([[0.0]]))
 NOTHING_TOLD = Measurement(np.zeros((2, 2), np.float32), 0.0)
 COUNT = 4000
-FILTER = rate_filter(MOTION, DOMAIN, None)
+FILTER = motion_noise(MOTION, DOMAIN)
 Q, R, V0 = FILTER.jitter, FILTER.change, FILTER.variance
 X0 = 0.3 * np.sqrt(Q)  # deviation of the first posterior
 SEEN = 0.4 * np.sqrt(Q)  # of a frame's measurement

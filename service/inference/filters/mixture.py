@@ -20,7 +20,7 @@ from service.inference.model.dynamics import predicted, predicted_suns
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.search import Found, search
 from service.inference.model.stages import FINEST, Stage, stage_hill
-from service.inference.motion import RateFilter, rate_filter
+from service.inference.motion import MotionNoise, motion_noise
 from service.inference.numerics.gauss_newton import Hill, Refined, Trust, ascend, within
 from service.inference.numerics.priors import Believed
 from service.inference.pose import concatenate, retract
@@ -37,7 +37,7 @@ _RARER, _RAREST = 3, 100  # each search that could not better the leader makes t
 def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> tuple[FilterState, Estimate]:
     """The posterior after a frame."""
     before = None if state is None else state.mixture
-    noise = rate_filter(given.config.motion, given.domain, None)
+    noise = motion_noise(given.config.motion, given.domain)
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     ahead = None if before is None else predict(before, noise, dt_s)
     found = propose(rng, before, given)
@@ -68,7 +68,7 @@ def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
     )
 
 
-def predict(before: Mixture, noise: RateFilter, dt_s: float) -> Predicted:
+def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
     """Every mode carried on by its rates."""
     covariance = np.stack([predicted(one, noise, dt_s) for one in before.covariance])
     poses = retract(before.poses, before.rates * dt_s)

@@ -16,7 +16,7 @@ from service.inference.model.dynamics import corrected, new_born
 from service.inference.model.existence import evidence_at
 from service.inference.model.nuisance import Nuisance, log_prior, nudged
 from service.inference.model.search import Found
-from service.inference.motion import RateFilter
+from service.inference.motion import MotionNoise
 from service.inference.numerics.gauss_newton import Hill, Refined
 from service.inference.pose import angle_between
 from service.inference.state import Array, Mixture
@@ -44,7 +44,7 @@ def weigh(
     ahead: Predicted | None,
     found: Found | None,
     hill: Hill,
-    noise: RateFilter,
+    noise: MotionNoise,
     nuisance: Nuisance,
     given: Given,
     before: Mixture | None,
@@ -96,7 +96,7 @@ def followed(k: int, one: Refined, ahead: Predicted, domain: Domain) -> Weighed:
     return Weighed(one, rates, covariance, weight, narrowed + away, one.log_posterior - away, ahead.paint[k])
 
 
-def born(one: Refined, level: float | None, siblings: int, noise: RateFilter, domain: Domain) -> Weighed:
+def born(one: Refined, level: float | None, siblings: int, noise: MotionNoise, domain: Domain) -> Weighed:
     """A basin of a search: it might have been anywhere.
 
     ``level``: the weight of no evidence in this frame, of what was followed; None: nothing was. Beside a track only the

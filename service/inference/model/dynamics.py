@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from service.inference.model import prior
-from service.inference.motion import RateFilter
+from service.inference.motion import MotionNoise
 from service.inference.state import Array
 
 
-def predicted(covariance: Array, noise: RateFilter, dt_s: float) -> Array:
+def predicted(covariance: Array, noise: MotionNoise, dt_s: float) -> Array:
     """(2d, 2d) of pose and rates after ``dt_s``, from (2d, 2d).
 
     A frame repeats part of what the ones before said, since the body's drawing is wrong in the same places: what is
@@ -38,7 +38,7 @@ def corrected(rates: Array, before: Array, shift: Array, pose_covariance: Array)
     return rates + gain @ shift, np.asarray(0.5 * (out + out.T))
 
 
-def new_born(pose_covariance: Array, noise: RateFilter) -> Array:
+def new_born(pose_covariance: Array, noise: MotionNoise) -> Array:
     """(2d, 2d) of a mode of which one frame is known."""
     d = len(pose_covariance)
     out = np.zeros((2 * d, 2 * d))

@@ -104,11 +104,8 @@ def search(
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
-        some = best_of(
-            _joined([some, *under(hill, some[np.arange(min(_LIT_ANEW, len(some.found)))], _MORE_SUNS)]),
-            SHARP.kept,
-            _SHARED_DEG,
-        )
+        again = under(hill, some[np.arange(min(_LIT_ANEW, len(some.found)))], _MORE_SUNS)
+        some = best_of(_joined([some, *again]), SHARP.kept, _SHARED_DEG)
     if alike is not None:
         first = some[np.arange(min(_MIRRORED, len(some.found)))]
         poses = alike(first.poses)

@@ -81,14 +81,6 @@ def check_the_joint(angle: float, state, estimate) -> None:
 
 
 @pytest.mark.parametrize("start", [90.0, 345.0])
-def test_the_joint_and_its_rate_are_followed_by_moves(start):
-    """6 degrees a second, far from the end of the range and across it; each particle's rate is its own mean."""
-    for told in track("tempered", start, 12, 0.5)[4:]:
-        check_the_joint(*told)
-        assert np.sqrt(np.mean(told[1].rates[:, 6] ** 2)) < 30  # degrees a second
-
-
-@pytest.mark.parametrize("start", [90.0, 345.0])
 def test_the_joint_and_its_rate_are_followed_by_importance(start):
     """The same; rates are samples of the posterior: their mean is right within a spread that is a Kalman filter's."""
     frames, dt_s = 24, 0.1

@@ -23,7 +23,7 @@ from service.inference.model.existence import of_this_body, usual_chi2
 from service.inference.model.search import make_bank
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import Body
-from service.inference.motion import rate_filter
+from service.inference.motion import motion_noise
 from service.inference.numerics.gauss_newton import Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, retract
@@ -213,7 +213,7 @@ def test_the_discrepancy_that_frames_ask_for_tells_a_body_from_another():
 
 def test_a_wide_basin_is_worth_no_more_beside_a_track_than_a_narrow_one():
     """A frame that says little is fitted as well from everywhere: it must not take a track away."""
-    noise, domain = rate_filter(effective({}).motion, given(frame(0), 0).domain, None), given(frame(0), 0).domain
+    noise, domain = motion_noise(effective({}).motion, given(frame(0), 0).domain), given(frame(0), 0).domain
     fit = SimpleNamespace(coefficients=np.zeros(7))
 
     def weight(wide: float, level: float | None, siblings: int = 1) -> float:

@@ -8,7 +8,7 @@ from scipy.stats import beta
 
 from service.inference.model import existence, prior
 from service.inference.model.dynamics import corrected, new_born, predicted
-from service.inference.motion import RateFilter
+from service.inference.motion import MotionNoise
 from service.inference.numerics.priors import Believed
 from service.inference.state import Poses
 
@@ -16,8 +16,8 @@ D = 3
 
 
 @pytest.fixture
-def noise() -> RateFilter:
-    return RateFilter(np.array([0.5, 0.2, 0.1]), np.array([0.03, 0.02, 0.01]), np.array([0.2, 0.1, 0.3]))
+def noise() -> MotionNoise:
+    return MotionNoise(np.array([0.5, 0.2, 0.1]), np.array([0.03, 0.02, 0.01]), np.array([0.2, 0.1, 0.3]))
 
 
 def spread(seed: int, size: int) -> np.ndarray:
@@ -40,7 +40,7 @@ def test_a_prediction_is_that_of_constant_rates_driven_by_white_noise(noise, mon
 
 
 def test_what_is_remembered_fades(noise):
-    still = RateFilter(noise.variance, np.zeros(D), np.zeros(D))
+    still = MotionNoise(noise.variance, np.zeros(D), np.zeros(D))
     before = spread(2, 2 * D)
     assert predicted(before, still, 0.0) == pytest.approx(before / prior.MEMORY_KEPT)
 

@@ -8,7 +8,7 @@ import pytest
 from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.belief import Belief, belief_of
 from service.inference.domain import Domain
-from service.inference.motion import RateFilter
+from service.inference.motion import MotionNoise
 from service.inference.params import PriorParams
 from service.inference.pose import angle_between, exp_so3, local, log_so3, retract
 from service.inference.smoothed import summarise_belief
@@ -20,7 +20,7 @@ PANEL = Joint("panel", "revolute", 0, 360, 0.0, (Stage("revolute", ("panel",), (
 DOMAIN = Domain(64, 64, 4.0, Articulation(("bus", "panel"), (PANEL,)), PriorParams())
 D = 7
 JITTER = np.array([0.02, 0.02, 0.02, 0.5, 0.5, 0.01, 3.0]) ** 2
-MOTION = RateFilter(100 * JITTER, JITTER, 4 * JITTER)
+MOTION = MotionNoise(100 * JITTER, JITTER, 4 * JITTER)
 SPACE = Space(MOTION, DOMAIN)
 START = Poses(np.array([[1.0, 0, 0, 0]]), np.array([[30.0, 34.0]]), np.array([1.0]), np.array([[350.0]]))
 

@@ -160,7 +160,7 @@ def snapshot(value) -> object:
 
 
 def small() -> SessionConfig:
-    return SessionConfig(filter=FilterParams(particles=150, acquisition_particles=600, moves=3))
+    return SessionConfig(filter=FilterParams(particles=150, acquisition_particles=600))
 
 
 def test_the_quick_scorer_is_right(log_ratio, score_maps, quick_score_maps, domain):

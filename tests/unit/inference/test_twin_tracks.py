@@ -84,10 +84,9 @@ def near(estimate: Estimate, truth: Poses) -> float:
     return total
 
 
-@pytest.mark.parametrize("method", ["importance", "tempered"])
-def test_both_twins_are_told_with_equal_weight_in_every_frame(method):
+def test_both_twins_are_told_with_equal_weight_in_every_frame():
     rotations = turning(np.array([0.0, 0.6, 0.8]), 5.0, np.array([0.9, -0.6, 0.5]), 25)
-    for told in track(rotations, 3.0 * np.sin(0.1 * np.arange(25)), method):
+    for told in track(rotations, 3.0 * np.sin(0.1 * np.arange(25))):
         other = twin(told.truth, MIRROR)
         assert near(told.estimate, told.truth) == pytest.approx(0.5, abs=0.02)
         assert near(told.estimate, other) == pytest.approx(0.5, abs=0.02)
@@ -98,11 +97,10 @@ def test_both_twins_are_told_with_equal_weight_in_every_frame(method):
         assert np.mean(side) == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.parametrize("method", ["importance", "tempered"])
-def test_the_particles_of_a_state_fold_back_exactly(method):
+def test_the_particles_of_a_state_fold_back_exactly():
     """All on one side, next to each other; unfolded again they are the state."""
     rotations = turning(np.array([0.0, 0.6, 0.8]), 5.0, np.array([0.9, -0.6, 0.5]), 8)
-    for told in track(rotations, np.zeros(8), method)[4:]:
+    for told in track(rotations, np.zeros(8))[4:]:
         folded = one_of_twins(told.state, (MIRROR,), DOMAIN)
         assert folded is not None
         weights = np.exp(folded.log_weights)
@@ -149,11 +147,10 @@ def test_the_degenerate_pose_is_its_own_twin():
     assert angle_between(twin(pose(middle, 2.0), MIRROR).quaternion, middle[None])[0] < 1e-7
 
 
-@pytest.mark.parametrize("method", ["importance", "tempered"])
-def test_a_body_turns_through_its_own_twin_and_keeps_its_rate(method):
+def test_a_body_turns_through_its_own_twin_and_keeps_its_rate():
     """20 degrees a second through the pose where both twins meet: the track comes out where it was heading."""
     frames, rate = 41, 20.0
-    told = track(through_the_mirror(frames, rate), np.full(frames, 2.0), method)
+    told = track(through_the_mirror(frames, rate), np.full(frames, 2.0))
     axis = np.array([0.8, 0.0, 0.6])
     for k in range(frames // 2 - 8, frames):
         folded = one_of_twins(told[k].state, (MIRROR,), DOMAIN)

@@ -1,0 +1,25 @@
+"""Sessions that an earlier version stored are read; what is sent now is held to what there is."""
+
+import pytest
+
+from service.errors import ConfigError
+from service.sessions.config import document, effective, stored
+
+
+def test_what_is_no_more_is_left_out_of_what_was_stored():
+    old = document(effective({"filter": {"particles": 300}}))
+    old["filter"] |= {"method": "tempered", "target_ess": 0.5, "moves": 6, "acquisition_moves": 4}
+    read = stored(old)
+    assert (read.filter.method, read.filter.particles) == ("importance", 300)
+    assert old["filter"]["moves"] == 6  # what was handed in stays as it was
+
+
+@pytest.mark.parametrize("sent", [{"method": "tempered"}, {"moves": 6}])
+def test_what_is_no_more_is_refused_with_a_name(sent):
+    with pytest.raises(ConfigError, match=r"filter\." + next(iter(sent))):
+        effective({"filter": sent})
+
+
+def test_what_was_stored_is_read_as_it_is():
+    config = effective({"camera": {"transfer": 0.45, "background": "auto"}})
+    assert stored(document(config)) == config
