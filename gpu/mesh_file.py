@@ -23,6 +23,7 @@ FILE_TYPES = ("glb", "obj", "stl", "ply", "urdf")
 LARGEST_COORDINATE = 1e12
 DEFAULT_LIMITS = MeshLimits()
 _PLY_ELEMENTS = re.compile(rb"^\s*element\s+(vertex|face)\s+(\d{1,18})\s*$", re.M)
+_OBJECT = re.compile(rb"^o[ \t]+(.*?)[ \t\r]*$", re.M)
 _PLY_HEADER_BYTES = 1 << 16
 
 
@@ -51,6 +52,9 @@ def read_parts(data: bytes, file_type: str, limits: MeshLimits = DEFAULT_LIMITS)
     else:
         require(limits, vertices=data.count(b"\nv "), faces=data.count(b"\nf "), nodes=data.count(b"\no "))
     pieces = _nodes(_scene(data, kind))
+    if kind == "obj":
+        order = {name.decode(errors="replace"): -k for k, name in enumerate(reversed(_OBJECT.findall(data)))}
+        pieces.sort(key=lambda piece: order.get(piece[0], 0))
     require(
         limits,
         nodes=len(pieces),
@@ -86,6 +90,8 @@ def _scene(data: bytes, kind: str) -> trimesh.Scene:
     options: dict[str, Any] = {"process": False}
     if kind == "glb":
         options["skip_materials"] = True
+    elif kind == "obj":
+        options |= {"split_objects": True, "group_material": False, "skip_materials": True}
     try:
         return trimesh.load_scene(io.BytesIO(data), file_type=kind, **options)
     except MemoryError:

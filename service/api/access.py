@@ -37,7 +37,7 @@ class Ticket(Wire):
     expires_in_s: float
 
 
-class Rates(Wire):
+class RateLimits(Wire):
     """What a key may do in a second: 0 is any amount, null as the settings say."""
 
     calls_per_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
@@ -55,7 +55,7 @@ class KeyRequest(Wire):
     """For people: whose it is, what for."""
     days: Annotated[float, Field(gt=0, le=36500)] | None = None
     """How long it is good; without it, until it is revoked."""
-    rates: Rates | None = None
+    rates: RateLimits | None = None
     """Its own; a tenant's admin may only give less than the settings do."""
 
 
@@ -70,7 +70,7 @@ class ApiKey(Wire):
     revoked_at: str | None
     last_used_at: str | None
     """To some minutes."""
-    rates: Rates | None
+    rates: RateLimits | None
     """Its own; without them those of the settings."""
 
 

@@ -14,7 +14,8 @@ from service.api.services import ServicesDep
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/checkpoint", tags=["sessions"])
 MEDIA_TYPE = "application/vnd.skypose.checkpoint"
-_BODY = {"requestBody": {"required": True, "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}}}
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_BODY = {"requestBody": {"required": True, "content": {"application/octet-stream": _BINARY, MEDIA_TYPE: _BINARY}}}
 
 
 @router.get("", response_class=Response, responses={200: {"content": {MEDIA_TYPE: {}}}, **problems(404)})

@@ -12,7 +12,10 @@ _BEARER = {"type": "http", "scheme": "bearer", "description": "API key or OIDC t
 
 
 class DescribedApi(FastAPI):
-    """FastAPI with the parts of its description that no route brings."""
+    """FastAPI with the parts of its description that no route brings, operations named as their functions are."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(generate_unique_id_function=lambda route: route.name, **options)
 
     def openapi(self) -> dict[str, Any]:
         """The document, made once."""

@@ -21,12 +21,13 @@ from service.api.forwarding import Call
 from service.api.paging import problems
 from service.api.services import Services, ServicesDep
 from service.errors import InputError
-from service.sessions.frame import Answer, BackgroundIn, FrameIn
+from service.sessions.frame import ANY_KIND, Answer, BackgroundIn, FrameIn, kind_of
 from service.sessions.lighting import told_sun
 from service.sessions.session import Session
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["frames"])
 _MEDIA_TYPES = (
+    ANY_KIND,
     *("image/png", "image/tiff", "image/jpeg", "image/fits", "application/fits", "application/x-npy"),
     *("application/imagebytes", "video/x-ser", "application/x-ser", "video/*"),
 )
@@ -108,7 +109,7 @@ async def add_background(
     image = BackgroundIn(
         body=body,
         sha256=sha256,
-        media_type=media_type(request),
+        media_type=kind_of(media_type(request), body),
         idempotency_key=idempotency_key(request) or forwarding.key_for_retries(),
         box=box,
         border_px=query.border,
@@ -192,7 +193,7 @@ async def _take(
     frame = FrameIn(
         body=body,
         sha256=sha256,
-        media_type=media_type(request),
+        media_type=kind_of(media_type(request), body),
         received=received,
         index=index,
         idempotency_key=key,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -29,6 +29,18 @@ from service.inference.state import Array
 _JD_EPOCH = 2_440_587.5  # 1970-01-01
 _DAY_S = 86_400.0
 _WGS84 = 1  # ERFA's number of the ellipsoid
+_TLE_FIELDS = {
+    1: (("epoch", 19, 32), ("change of the mean motion", 34, 43)),
+    2: (
+        ("inclination", 9, 16),
+        ("ascending node", 18, 25),
+        ("eccentricity", 27, 33),
+        ("argument of perigee", 35, 42),
+        ("mean anomaly", 44, 51),
+        ("mean motion", 53, 63),
+    ),
+}
+"""Numbers of a TLE, columns counted from 1."""
 _OMM_DEFAULTS = {
     "CLASSIFICATION_TYPE": "U",
     "OBJECT_ID": "",
@@ -62,7 +74,7 @@ class Orbit:
         try:
             self._satellite = _read(text.strip())
         except (KeyError, ValueError, TypeError, IndexError, AttributeError, SyntaxError) as error:
-            detail = f"{type(error).__name__}: {error}"
+            detail = str(error) if str(error).startswith(("TLE", "a TLE")) else f"{type(error).__name__}: {error}"
             raise ConfigError(f"neither a TLE nor an OMM could be read: {detail}", field="prior.orbit") from error
         if self._satellite.error:
             raise ConfigError(_reason(self._satellite.error), field="prior.orbit")
@@ -115,11 +127,27 @@ def _read(text: str) -> Any:
             raise ValueError("document types and entities are not read")
         return _from_omm(next(omm.parse_xml(io.StringIO(text)), {}))
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    if len(lines) in (2, 3) and lines[-2].startswith("1 ") and lines[-1].startswith("2 "):
+    if lines and len(lines) <= 3 and any(line.startswith(("1 ", "2 ")) for line in lines):
+        _check_tle(lines)
         twoline2rv(lines[-2], lines[-1], wgs72)  # it checks the columns; the faster reader takes anything
         return Satrec.twoline2rv(lines[-2], lines[-1])
     pairs = (line.partition("=") for line in lines if "=" in line)
     return _from_omm({key.strip(): value.split("[")[0].strip() for key, _, value in pairs})
+
+
+def _check_tle(lines: Sequence[str]) -> None:
+    """Raises ``ValueError`` that names the line and the field."""
+    if len(lines) < 2 or not (lines[-2].startswith("1 ") and lines[-1].startswith("2 ")):
+        raise ValueError("a TLE has a line that begins with 1 and then one that begins with 2")
+    for number, line in ((1, lines[-2]), (2, lines[-1])):
+        for name, first, last in _TLE_FIELDS[number]:
+            try:
+                float(line[first - 1 : last])
+            except ValueError as error:
+                said = line[first - 1 : last].strip()
+                raise ValueError(f"TLE line {number}, {name} (columns {first} to {last}): {said!r}") from error
+    if lines[-2][2:7] != lines[-1][2:7]:
+        raise ValueError(f"TLE lines 1 and 2 are of two objects, {lines[-2][2:7]} and {lines[-1][2:7]}")
 
 
 def _from_omm(fields: Mapping[str, Any]) -> Any:

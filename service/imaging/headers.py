@@ -32,6 +32,17 @@ _PNG_COLOUR_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}  # grey, RGB, palette, gre
 _JPEG_START, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
 _JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_SCAN_MARKER = 0xDA
+_STARTS = (
+    (_PNG_SIGNATURE, "image/png"),
+    (_JPEG_START, "image/jpeg"),
+    (b"II*\0", "image/tiff"),
+    (b"MM\0*", "image/tiff"),
+    (b"SIMPLE  =", "image/fits"),
+    (b"\x1f\x8b", "image/fits"),  # packed: nothing else comes so
+    (b"\x93NUMPY", "application/x-npy"),
+    (b"LUCAM-RECORDER", "video/x-ser"),
+    (b"RIFF", "video/avi"),
+)
 _ALIASES = {"image/jpg": "image/jpeg", "image/tif": "image/tiff", "image/x-png": "image/png"}
 
 
@@ -61,6 +72,14 @@ def media_kind(media_type: str) -> str:
     """A media type without parameters, in lower case, by its usual name."""
     kind = media_type.split(";")[0].strip().lower()
     return _ALIASES.get(kind, kind)
+
+
+def sniffed(body: bytes) -> str | None:
+    """The media type that a body begins as; None: none that is known."""
+    for start, kind in _STARTS:
+        if body.startswith(start):
+            return kind
+    return "video/mp4" if body[4:8] == b"ftyp" else None
 
 
 def broken(detail: str) -> ImageError:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from typing import Any
 
 import orjson
@@ -94,11 +96,25 @@ def _preset(sections: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
 
 def _config_error(error: ValidationError) -> ConfigError:
     found = [
-        {"field": _field(item), "message": item["msg"]} for item in error.errors(include_url=False, include_input=False)
+        {"field": _field(item), "message": item["msg"] + _near(item)}
+        for item in error.errors(include_url=False, include_input=False)
     ]
     first = found[0]["field"]
     said = dict.fromkeys(item["message"] for item in found if item["field"] == first)  # one for each type it may have
     return ConfigError(f"{first}: {'; or: '.join(said)}", field=first, errors=found)
+
+
+def _near(item: ErrorDetails) -> str:
+    """For a name that there is not: one like it that there is."""
+    if item["type"] not in ("unexpected_keyword_argument", "extra_forbidden"):
+        return ""
+    *path, name = (str(part) for part in item["loc"])
+    kind: Any = SessionConfig
+    for part in path:
+        kind = next((one.default_factory for one in fields(kind) if one.name == part), None)
+    known = [one.name for one in fields(kind)] if is_dataclass(kind) else []
+    near = get_close_matches(name, known, 1)
+    return f"; did you mean `{near[0]}`?" if near else ""
 
 
 def _field(item: ErrorDetails) -> str:

@@ -9,9 +9,11 @@ from typing import Any
 
 from service.errors import FrameConflictError, FrameGapError, IdempotencyKeyError, InputError
 from service.imaging.facts import FrameFacts
+from service.imaging.headers import sniffed
 from service.inference.params import SessionConfig
 from service.store.base import SessionRecord, StoredFrame
 
+ANY_KIND = "application/octet-stream"  # what generated clients send
 OWN_SKY_FRAMES = (0, 1, 2, 4, 8)
 """From which a session without empty frames learns its sky."""
 
@@ -67,6 +69,11 @@ class FrameTime:
     utc: datetime
     given: datetime | None
     seconds: float
+
+
+def kind_of(media_type: str, body: bytes) -> str:
+    """The media type as given; of ``ANY_KIND`` what the body begins as, where that is known."""
+    return sniffed(body) or media_type if media_type == ANY_KIND else media_type
 
 
 def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float, before: datetime | None) -> FrameTime:

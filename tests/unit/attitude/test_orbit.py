@@ -106,3 +106,23 @@ def test_a_decayed_orbit_has_no_place():
     fast = json.dumps({**fields(), "BSTAR": 0.5})
     with pytest.raises(InputError, match="no place at this time"):
         Orbit(fast).seen_from(SITES["vienna"], EPOCH + timedelta(days=400))
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "said"),
+    [
+        (("51.6", "5x.6"), "TLE line 2, inclination"),
+        (("15.49", "15,49"), "TLE line 2, mean motion"),
+        (("26324.5", "2632A.5"), "TLE line 1, epoch"),
+        (("2 25544", "2 25545"), "two objects, 25544 and 25545"),
+        (("2 25544", "3 25544"), "begins with 1"),
+    ],
+)
+def test_a_tle_that_fails_names_its_line_and_field(spoilt, said):
+    good = (
+        "1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9002\n"
+        "2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10006"
+    )
+    Orbit(good)
+    with pytest.raises(ConfigError, match=said):
+        Orbit(good.replace(*spoilt))

@@ -148,3 +148,15 @@ def test_a_damaged_glb_is_read_or_refused_but_nothing_else_happens(position):
         load_mesh(bytes(whole), "glb")
     except MeshError as refusal:
         assert str(refusal)
+
+
+def test_objects_of_an_obj_are_parts_in_the_order_of_the_file():
+    corner = "v {0} 0 0\nv {1} 0 0\nv {0} 1 0\nv {0} 0 1\n"
+    faces = ((1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4))
+    lines = []
+    for n, name in enumerate(("bus", "left wing", "boom")):
+        lines.append(f"o {name}\n" + corner.format(3 * n, 3 * n + 1))
+        lines += ["f {} {} {}\n".format(*(4 * n + corner for corner in face)) for face in faces]
+    mesh = load_mesh("".join(lines).encode(), "obj")
+    assert [part.name for part in mesh.parts] == ["bus", "left wing", "boom"]
+    assert [len(part.faces) for part in mesh.parts] == [4, 4, 4]
