@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, Literal
 
 from fastapi import APIRouter, Response
 from fastapi.openapi.docs import get_swagger_ui_html
@@ -16,6 +16,7 @@ from service.api import schemas
 from service.api.auth import Reader
 from service.api.paging import problems
 from service.api.services import ServicesDep
+from service.api.wire import Wire
 from service.sessions.frame import format_time
 
 router = APIRouter(tags=["operations"])
@@ -30,13 +31,20 @@ def release() -> str:
         return "0.1.0+unpackaged"
 
 
-@router.get("/healthz", response_model=schemas.Health)
+class Health(Wire):
+    """Whether the service lives or is ready."""
+
+    status: Literal["ok", "starting"]
+    checks: dict[str, bool]
+
+
+@router.get("/healthz", response_model=Health)
 async def healthz() -> dict[str, Any]:
     """The event loop turns."""
     return {"status": "ok", "checks": {}}
 
 
-@router.get("/readyz", response_model=schemas.Health, responses={503: {"model": schemas.Health}})
+@router.get("/readyz", response_model=Health, responses={503: {"model": Health}})
 async def readyz(response: Response, services: ServicesDep) -> dict[str, Any]:
     """Frames can be taken: the worker is up and the database answers."""
     checks = await services.status.checks()

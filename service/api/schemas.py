@@ -124,6 +124,8 @@ class Estimate(Wire):
     scorer: str
     assumed: list[Literal["background", "time"]] = Field(default_factory=list)
     """What nobody told: `background`, the sky was learned from around the object; `time`, the frame brought none."""
+    warnings: list[str] = Field(default_factory=list)
+    """What does not agree: site, time, orbit, pointing and the scale that is seen."""
 
 
 class EstimateList(Wire):
@@ -277,13 +279,6 @@ class SessionList(Wire):
 
     sessions: list[Session]
     next: str | None
-
-
-class Health(Wire):
-    """Whether the service lives or is ready."""
-
-    status: Literal["ok", "starting"]
-    checks: dict[str, bool]
 
 
 class System(Wire):

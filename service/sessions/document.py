@@ -46,11 +46,13 @@ def estimate_document(
     orbit: Mapping[str, Any] | None = None,
     lit: Lit = UNKNOWN,
     assumed: Sequence[str] = (),
+    warnings: Sequence[str] = (),
 ) -> bytes:
     """The answer to a frame as JSON bytes; ``view`` is the camera among the stars, where it is known.
 
     ``models`` are those that the session compares, the one of ``report`` first. ``orbit``: where the object stands.
-    ``lit``: where its light comes from; ``assumed``: what nobody told.
+    ``lit``: where its light comes from; ``assumed``: what nobody told, ``warnings``: what does
+    not agree.
 
     Raises ``SkyposeError`` if a number in it is not finite.
     """
@@ -77,6 +79,7 @@ def estimate_document(
         "timing_ms": {name: round(float(value), 3) for name, value in report.timing_ms.items()},
         "scorer": report.scorer,
         "assumed": list(assumed),
+        "warnings": list(warnings),
     }
     data |= _existence(estimate, names)
     if models is not None:

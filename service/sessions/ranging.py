@@ -50,7 +50,7 @@ class Ranging:
 
     def __init__(self, config: SessionConfig) -> None:
         self._config = config
-        self._site = mount_of(config.camera).site
+        self.site = mount_of(config.camera).site
         self._orbit = None if config.prior.orbit is None else Orbit(config.prior.orbit)
 
     def at(self, moment: FrameTime, facts: FrameFacts) -> Ranged | None:
@@ -58,11 +58,11 @@ class Ranging:
 
         A pixel scale that the frame's own header tells goes before the session's.
         """
-        if self._orbit is None or self._site is None:
+        if self._orbit is None or self.site is None:
             return None
         if moment.given is None:
             raise InputError("an orbit needs the frame's time", field="query:time")
-        sighting = self._orbit.seen_from(self._site, moment.utc)
+        sighting = self._orbit.seen_from(self.site, moment.utc)
         unit_m, arcsec = self._config.prior.unit_m, self._config.camera.pixel_scale_arcsec
         if facts.pixel_scale_deg is not None:
             arcsec = facts.pixel_scale_deg * _ARCSECONDS

@@ -17,6 +17,7 @@ from service.imaging.facts import NOTHING, FrameFacts
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
 from service.sessions.absolute import View
+from service.sessions.consistency import warnings_of
 from service.sessions.contenders import Contender, leader, ranking, stored
 from service.sessions.document import as_duplicate, estimate_document
 from service.sessions.frame import (
@@ -199,8 +200,9 @@ class Session:
         models = ranking(contenders) if len(contenders) > 1 else None
         orbit = None if known.ranged is None else known.ranged.document()
         session_id, assumed = public_id(self.record.id), assumed_of(self._config, frame)
+        odd = await asyncio.to_thread(warnings_of, report.estimate, moment.utc, self._ranging.site, view, known.ranged)
         document = await asyncio.to_thread(
-            estimate_document, session_id, index, text, names, report, view, models, orbit, known.lit, assumed
+            estimate_document, session_id, index, text, names, report, view, models, orbit, known.lit, assumed, odd
         )
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(

@@ -58,3 +58,20 @@ async def test_what_is_refused_when_the_session_is_begun(api):
     ):
         answer = await api.http.post("/v1/sessions", json={"model_id": model_id, **sections})
         assert (answer.status_code, answer.json()["type"]) == (422, "urn:skypose:problem:invalid-configuration")
+
+
+async def test_what_does_not_agree_is_told(api):
+    session_id = await api.ready_session(camera={**CAMERA, "mount": "altaz", "up_angle_deg": 0.0}, prior={"orbit": TLE})
+    orbit = (await api.post(session_id, 0, time=HIGH, az_deg=0, el_deg=45)).json()["orbit"]
+    towards = {"az_deg": orbit["azimuth_deg"], "el_deg": orbit["elevation_deg"]}
+    again = await api.ready_session(camera={**CAMERA, "mount": "altaz", "up_angle_deg": 0.0}, prior={"orbit": TLE})
+    assert (await api.post(again, 0, time=HIGH, **towards)).json()["warnings"] == []
+    aside = {**towards, "el_deg": towards["el_deg"] - 3.0}
+    (told,) = (await api.post(again, 1, time=HIGH, **aside)).json()["warnings"]
+    assert told.startswith("the camera points 3.0° away")
+    below = (await api.post(again, 2, time=LOW, **aside)).json()["warnings"]
+    assert below[0].startswith("the orbit puts the object") and "horizon" in below[0]
+    old = (await api.post(again, 3, time="2020-03-01T00:00:00Z", **aside)).json()["warnings"]
+    assert any("elements are 8" in one for one in old)
+    plain = await api.ready_session()
+    assert (await api.post(plain, 0)).json()["warnings"] == []

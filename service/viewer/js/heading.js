@@ -30,12 +30,18 @@ export function addHeading(api, { deleted }) {
     deleted();
   });
 
+  const warn = (ofSession, ofFrame) => {
+    const texts = [...ofSession, ...ofFrame];
+    if (texts.join() === [...$("warnings").children].map((line) => line.textContent).join()) return;
+    $("warnings").replaceChildren(...texts.map((text) => element("li", text)));
+  };
+
   const update = (now) => {
     session = now;
     $("title").textContent = titleOf(now);
     if (now.state !== "ready") $("status").replaceChildren(badge("waiting"));
     if (now.state !== "ready") $("status").firstChild.textContent = "Needs empty sky";
-    $("warnings").replaceChildren(...now.warnings.map((text) => element("li", text)));
+    warn(now.warnings, []);
     document.title = `${titleOf(now)} · skypose`;
   };
 
@@ -53,6 +59,7 @@ export function addHeading(api, { deleted }) {
     show(estimate) {
       arrived = performance.now();
       if ($("status").firstChild?.className !== `badge ${estimate.status}`) $("status").replaceChildren(badge(estimate.status));
+      warn(session.warnings, estimate.warnings ?? []);
       $("moment").textContent = `${model ? `${model} · ` : ""}frame ${estimate.index} · ${when(estimate.time)}`;
     },
     // The lamp in the page's head, and the mark over everything that may not be the newest.
