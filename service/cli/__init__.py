@@ -13,6 +13,7 @@ from service.cli.keys import keys
 from service.cli.model import model
 from service.cli.openapi import openapi
 from service.cli.serve import serve
+from service.cli.sessions import sessions
 from service.cli.simulate import simulate
 from service.cli.track import track
 
@@ -28,6 +29,7 @@ app.command()(openapi)
 app.add_typer(bench)
 app.add_typer(keys)
 app.add_typer(model)
+app.add_typer(sessions)
 
 
 def main() -> None:

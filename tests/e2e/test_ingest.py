@@ -163,3 +163,17 @@ def test_export_writes_what_the_service_answers(desk):
     out = desk.root / "track.npz"
     done = desk.run("export", session["session_id"], "--format", "npz", "--out", str(out))
     assert done.exit_code == 0 and np.load(out)["index"].tolist() == [0]
+
+
+def test_sessions_are_listed_and_pruned(desk):
+    desk.put("f0.png", image(0))
+    assert desk.ingest().exit_code == 0
+    session_id = session_of(desk)["session_id"]
+    listed = desk.run("sessions", "list").stdout
+    assert session_id in listed and "1 frames" in listed
+    assert json.loads(desk.run("sessions", "list", "--json").stdout.splitlines()[-1])["session_id"]
+    assert session_id not in desk.run("sessions", "prune", "--older-than", "1", "--yes").stdout
+    told = desk.run("sessions", "prune", "--older-than", "0")
+    assert session_id in told.stdout and "--yes" in told.stderr
+    assert session_id in desk.run("sessions", "prune", "--older-than", "0", "--yes").stdout
+    assert session_id not in desk.run("sessions", "list").stdout
