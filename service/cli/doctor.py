@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -13,7 +17,6 @@ def doctor(
 ) -> None:
     """Check packages, OpenCL devices and the data directory. Exits 1 where tracking cannot run."""
     import orjson
-    from rich.console import Console
 
     from service.settings import Settings
 
@@ -28,8 +31,27 @@ def doctor(
     if as_json:
         typer.echo(orjson.dumps(report, option=orjson.OPT_INDENT_2).decode())
     else:
-        Console().print(report)
+        for line in _lines(report, settings.data_dir):
+            typer.echo(line)
     raise typer.Exit(0 if report["ok"] else 1)
+
+
+def _lines(report: Mapping[str, Any], data_dir: Path) -> Iterator[str]:
+    """For people: what there is, one thing a line, and at the end whether tracking can run."""
+    versions = report.get("worker", {}).get("versions", {})
+    yield f"skypose {versions.get('skypose', '?')}, Python {report['python']}"
+    held = next(folder for folder in (data_dir.absolute(), *data_dir.absolute().parents) if folder.exists())
+    free = shutil.disk_usage(held).free / 2**30
+    writable = "can be written" if os.access(held, os.W_OK) else "CANNOT BE WRITTEN"
+    yield f"data directory {data_dir.absolute()}: {writable}, {free:.1f} GiB free"
+    for device in report.get("worker", {}).get("devices", ()):
+        why = f", not used: {device['rejected']}" if device["rejected"] else ""
+        yield f"OpenCL {device['kind']}: {device['name']} ({device['platform']} {device['driver']}){why}"
+    opengl = report.get("worker", {}).get("hand_over", {}).get("opengl")
+    yield f"OpenGL: {opengl or 'none (only the backend opengl needs it)'}"
+    others = (f"{name} {number}" for name, number in versions.items() if name not in ("skypose", "python"))
+    yield f"packages: {', '.join(others)}" if versions else "packages: not looked at"
+    yield "tracking can run" if report["ok"] else f"tracking CANNOT run: {report['error']}"
 
 
 def _describe() -> dict[str, Any]:

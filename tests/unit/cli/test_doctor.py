@@ -28,3 +28,11 @@ def test_what_stops_a_worker_is_the_diagnosis(monkeypatch):
     result = RUNNER.invoke(app, ["doctor", "--json"])
     assert result.exit_code == 1
     assert json.loads(result.output)["error"] == "RuntimeError: the driver is broken"
+
+
+def test_people_get_lines():
+    result = RUNNER.invoke(app, ["doctor"])
+    lines = result.stdout.splitlines()
+    assert result.exit_code == 0 and lines[-1] == "tracking can run"
+    assert lines[0].startswith("skypose ") and any("GiB free" in line for line in lines)
+    assert any(line.startswith("OpenCL ") for line in lines) and "{" not in result.stdout
