@@ -36,7 +36,7 @@ from service.api.observe import Observe
 from service.api.services import Services
 from service.api.submissions import Submissions
 from service.ears import Ears
-from service.errors import ConfigError, StorageError
+from service.errors import ConfigError, SkyposeError, StorageError
 from service.metrics import Metrics
 from service.sessions.admission import Admission, Places
 from service.sessions.archive import Archive
@@ -81,7 +81,7 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
         redoc_url=None,
         lifespan=partial(_lifespan, services, engine, database, inspector),
     )
-    app.state.services = services
+    app.state.services, app.state.refused = services, None
     problems.install(app)
     for room in (models, sessions, frames, estimates, checkpoint, stream, access, health):
         app.include_router(room.router)
@@ -159,9 +159,13 @@ async def _lifespan(
     services: Services, engine: Engine, database: Database, inspector: Inspector, app: FastAPI
 ) -> AsyncIterator[None]:
     async with contextlib.AsyncExitStack() as stack:
-        await database.open()
-        stack.push_async_callback(database.close)
-        await services.gate.require_credentials()
+        try:
+            await database.open()
+            stack.push_async_callback(database.close)
+            await services.gate.require_credentials()
+        except SkyposeError as error:
+            app.state.refused = error.detail  # told in a line by the command
+            raise
         stack.push_async_callback(services.audit.store, final=True)
         stack.push_async_callback(engine.transport.close)
         stack.callback(inspector.close)

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import gc
+import logging
+import os
+import socket
+from collections.abc import Iterable, Iterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
@@ -12,8 +17,9 @@ if TYPE_CHECKING:
     import uvicorn
     from fastapi import FastAPI
 
-    from service.errors import SkyposeError
     from service.settings import Settings
+
+_ALIKE = 0.8  # of two names, for the one to be the other misspelt
 
 
 def serve(
@@ -25,12 +31,41 @@ def serve(
     address: Annotated[str | None, typer.Option(help="HOST:PORT of the Ray cluster.")] = None,
 ) -> None:
     """Run the service. What is not given comes from SKYPOSE_... or the defaults (docs/settings.md)."""
+    from pydantic import ValidationError
+
     from service.settings import Settings
 
     given: dict[str, Any] = {"host": host, "port": port, "data_dir": data, "workers": workers}
     given |= {"engine": engine, "ray_address": address}
-    settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    try:
+        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        name = f"SKYPOSE_{'_'.join(map(str, wrong['loc'])).upper()}"
+        _refuse(f"{name} is {wrong['input']!r}: {wrong['msg']}", error)
+    for line in ignored(os.environ, Settings.model_fields):
+        typer.echo(f"skypose serve: {line}", err=True)
     run(settings)
+
+
+def ignored(environment: Iterable[str], known: Iterable[str]) -> Iterator[str]:
+    """A line about each SKYPOSE_... variable that looks like a setting and is none."""
+    names = [f"SKYPOSE_{name.upper()}" for name in known]
+    for name in environment:
+        near = get_close_matches(name, names, 1, _ALIKE)
+        if name.startswith("SKYPOSE_") and name not in names and near:
+            yield f"{name} is no setting and is ignored; did you mean {near[0]}?"
+
+
+def require_free(host: str, port: int) -> None:
+    """Exit with what to do where the port is taken."""
+    family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(address)
+        except OSError as error:
+            _refuse(f"cannot listen on {host}, port {port}: {error.strerror}; --port takes another", error)
 
 
 def run(settings: Settings, worker: str | None = None) -> None:
@@ -41,6 +76,7 @@ def run(settings: Settings, worker: str | None = None) -> None:
 
     gc.disable()  # until ``settle``: a collection in the middle of the imports finds nothing and takes its time
     logs.configure(settings.log_level, settings.log_format)
+    require_free(settings.host, settings.port)
     if settings.needs_credential:
         refuse_open_door(settings)
     try:
@@ -50,8 +86,16 @@ def run(settings: Settings, worker: str | None = None) -> None:
 
         app = create_app(settings, transport)
     except SkyposeError as error:
-        _refuse(error)
-    _server(app, settings).run()
+        _refuse(error.detail, error)
+    logging.getLogger("uvicorn.error").addFilter(
+        lambda record: not (app.state.refused and record.getMessage().startswith("Traceback"))
+    )
+    try:
+        _server(app, settings).run()
+    except SystemExit as error:  # uvicorn's, of a start that failed
+        if app.state.refused is None:
+            raise
+        _refuse(app.state.refused, error)
 
 
 def refuse_open_door(settings: Settings) -> None:
@@ -80,11 +124,11 @@ def refuse_open_door(settings: Settings) -> None:
     try:
         asyncio.run(look())
     except SkyposeError as error:
-        _refuse(error)
+        _refuse(error.detail, error)
 
 
-def _refuse(error: SkyposeError) -> NoReturn:
-    typer.echo(f"skypose serve: {error.detail}", err=True)
+def _refuse(why: str, error: BaseException) -> NoReturn:
+    typer.echo(f"skypose serve: {why}", err=True)
     raise typer.Exit(2) from error
 
 
