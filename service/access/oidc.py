@@ -115,7 +115,10 @@ class Oidc:
         if not roles:
             known = [role.value for role in Role]
             raise ForbiddenError("the token names no role", claim=self._provider.role_claim, known=known)
-        expires = datetime.fromtimestamp(float(claims["exp"]) + LEEWAY_S, UTC)
+        try:
+            expires = datetime.fromtimestamp(float(claims["exp"]) + LEEWAY_S, UTC)
+        except (OverflowError, ValueError, OSError) as error:  # past all years, or no number
+            raise UnauthorizedError("the token's exp is no time", field="header:Authorization") from error
         return Principal(tenant, OIDC_PREFIX + str(claims["sub"])[:_MOST_SUBJECT], roles[-1], expires)
 
 

@@ -13,6 +13,10 @@ from service.imaging.headers import sniffed
 from service.inference.params import SessionConfig
 from service.store.base import SessionRecord, StoredFrame
 
+_FIRST, _LAST = (
+    datetime(1957, 10, 4, tzinfo=UTC),
+    datetime(2100, 1, 1, tzinfo=UTC),
+)  # Sputnik; none is planned so far ahead
 ANY_KIND = "application/octet-stream"  # what generated clients send
 OWN_SKY_FRAMES = (0, 1, 2, 4, 8)
 """From which a session without empty frames learns its sky."""
@@ -84,6 +88,13 @@ def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float, before:
     The filter's clock must not depend on when a frame happened to arrive, or a repeated pass would differ: it
     counts the given times, and the nominal interval where there are none.
     """
+    if frame.time is not None and not _FIRST <= frame.time <= _LAST:
+        raise InputError(
+            f"no frame of a spacecraft is of this time: {_FIRST.year} to {_LAST.year}",
+            field="time",
+            minimum=str(_FIRST),
+            maximum=str(_LAST),
+        )
     previous = None if record.time_given is None else datetime.fromisoformat(record.time_given)
     if frame.time is not None and previous is not None and frame.time < previous:
         raise InputError("the frame is older than the one before", field="time", previous=format_time(previous))

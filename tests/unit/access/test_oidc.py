@@ -81,6 +81,8 @@ async def test_good_token(made):
         token(aud=None),
         token(sub=None),
         token(exp=None),
+        token(exp=10**18),
+        token(exp=10**30),
         token(nbf=int(time.time()) + 86_000),
         token(SHARED, "shared", "HS256"),
         token(RSA_KEY, "ec", "RS256"),
