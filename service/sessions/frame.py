@@ -13,10 +13,8 @@ from service.imaging.headers import sniffed
 from service.inference.params import SessionConfig
 from service.store.base import SessionRecord, StoredFrame
 
-_FIRST, _LAST = (
-    datetime(1957, 10, 4, tzinfo=UTC),
-    datetime(2100, 1, 1, tzinfo=UTC),
-)  # Sputnik; none is planned so far ahead
+_FIRST = datetime(1957, 10, 4, tzinfo=UTC)  # Sputnik
+_LAST = datetime(2100, 1, 1, tzinfo=UTC)  # nobody plans so far ahead
 ANY_KIND = "application/octet-stream"  # what generated clients send
 OWN_SKY_FRAMES = (0, 1, 2, 4, 8)
 """From which a session without empty frames learns its sky."""
