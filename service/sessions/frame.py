@@ -13,8 +13,7 @@ from service.imaging.headers import sniffed
 from service.inference.params import SessionConfig
 from service.store.base import SessionRecord, StoredFrame
 
-_FIRST = datetime(1957, 10, 4, tzinfo=UTC)  # Sputnik
-_LAST = datetime(2100, 1, 1, tzinfo=UTC)  # nobody plans so far ahead
+_FIRST, _LAST = datetime(1800, 1, 1, tzinfo=UTC), datetime(2200, 1, 1, tzinfo=UTC)  # else it is a slip of the pen
 ANY_KIND = "application/octet-stream"  # what generated clients send
 OWN_SKY_FRAMES = (0, 1, 2, 4, 8)
 """From which a session without empty frames learns its sky."""
@@ -88,7 +87,7 @@ def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float, before:
     """
     if frame.time is not None and not _FIRST <= frame.time <= _LAST:
         raise InputError(
-            f"no frame of a spacecraft is of this time: {_FIRST.year} to {_LAST.year}",
+            f"a frame is of {_FIRST.year} to {_LAST.year}",
             field="time",
             minimum=str(_FIRST),
             maximum=str(_LAST),
