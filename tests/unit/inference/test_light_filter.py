@@ -17,6 +17,7 @@ from service.inference.filters.given import Given
 from service.inference.filters.mixture import search_due, step
 from service.inference.filters.status import SURE, status_of, told_existence
 from service.inference.filters.weighing import born
+from service.inference.model import prior
 from service.inference.model import search as searching
 from service.inference.model.drawing import View
 from service.inference.model.existence import of_this_body, usual_chi2
@@ -220,8 +221,8 @@ def test_a_wide_basin_is_worth_no_more_beside_a_track_than_a_narrow_one():
         one = Refined(truth(0), SUN, 0.0175, fit, -100.0, wide**2 * np.eye(6))
         return born(one, level, siblings, noise, domain).log_weight
 
-    assert weight(0.5, 0.0) == weight(0.01, 0.0) == -25.0 + np.log(0.1)
-    assert weight(0.5, 0.0, 4) == -25.0 + np.log(0.1 / 4)
+    assert weight(0.5, 0.0) == weight(0.01, 0.0) == pytest.approx(prior.EVIDENCE_TRUST * -100 + np.log(0.1))
+    assert weight(0.5, 0.0, 4) == pytest.approx(prior.EVIDENCE_TRUST * -100 + np.log(0.1 / 4))
     assert weight(0.5, None) > weight(0.01, None)  # nothing is known yet: the frame's own shares
 
 
