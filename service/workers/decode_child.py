@@ -38,19 +38,19 @@ _FILES = 64
 def main(descriptor: int) -> None:
     """Serve the parent at the other end of a socket. The first message brings the limits."""
     channel = socket.socket(fileno=descriptor)
-    limits: DecodeLimits = pickle.loads(receive_bytes(channel))
-    cv2.setNumThreads(1)
-    confine(limits)
-    jobs = _jobs(InPlace(limits))
-    send_reply(channel, Reply("ready"))
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders write of every bad file; the parent has the answer
     try:
+        limits: DecodeLimits = pickle.loads(receive_bytes(channel))
+        cv2.setNumThreads(1)
+        confine(limits)
+        jobs = _jobs(InPlace(limits))
+        send_reply(channel, Reply("ready"))
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders write of every bad file; the parent has the answer
         while True:
             method, arguments = pickle.loads(receive_bytes(channel))
             body = receive_bytes(channel)
             allow_cpu(limits.cpu_s)
             send_reply(channel, answer(jobs[method], (body, *arguments)))
-    except (EOFError, ConnectionError):
+    except (EOFError, ConnectionError):  # the parent is gone, maybe before it ever asked
         return
     except MemoryError:  # the file does not even fit, or its pixels do not fit twice
         os._exit(OUT_OF_MEMORY)
