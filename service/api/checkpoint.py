@@ -11,11 +11,12 @@ from service.api.auth import Operator, ReadSession
 from service.api.bodies import read_body
 from service.api.paging import problems
 from service.api.services import ServicesDep
+from service.sessions.frame import ANY_KIND
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/checkpoint", tags=["sessions"])
 MEDIA_TYPE = "application/vnd.skypose.checkpoint"
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
-_BODY = {"requestBody": {"required": True, "content": {"application/octet-stream": _BINARY, MEDIA_TYPE: _BINARY}}}
+_BODY = {"requestBody": {"required": True, "content": {ANY_KIND: _BINARY, MEDIA_TYPE: _BINARY}}}
 
 
 @router.get("", response_class=Response, responses={200: {"content": {MEDIA_TYPE: {}}}, **problems(404)})

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.bench.silhouette import Mask
-from service.imaging.decode import decode_frame
+from service.imaging.decode import Pixels, decode_frame
 
 
 class SkyLevel:
@@ -28,7 +28,19 @@ class SkyLevel:
         return float((grey(body) - self._mean)[covered].mean()) / max(self._sigma, 1e-9)
 
 
+def pixels(body: bytes) -> Pixels:
+    """(H, W) or (H, W, 3) RGB of a PNG."""
+    return decode_frame(body, "image/png").image
+
+
+def counts(values: NDArray[np.floating], like: Pixels) -> Pixels:
+    """Values as counts of an image's depth."""
+    kind: type[np.uint8] | type[np.uint16] = np.uint8 if like.dtype == np.uint8 else np.uint16
+    found: Pixels = np.clip(np.rint(values), 0, np.iinfo(kind).max).astype(kind)
+    return found
+
+
 def grey(body: bytes) -> NDArray[np.float64]:
     """(H, W) an image file's mean over channels."""
-    image = decode_frame(body, "image/png").image.astype(np.float64)
+    image = pixels(body).astype(np.float64)
     return image if image.ndim == 2 else image.mean(axis=2)

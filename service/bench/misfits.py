@@ -9,16 +9,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from service.bench.brightness import grey
+from service.bench.brightness import counts, grey, pixels
 from service.bench.cases import Case, TruthFrame
 from service.bench.runner import Entry, Terms, open_session
+from service.imaging.decode import Pixels
+from service.simulate.folder import encode_png
 from service.workers.tracker import Tracker
 
-Pixels = NDArray[np.integer]
 KINDS = ("mesh", "mirror", "cloud")
 NOTICED = ("no_fit", "lost", "ambiguous")
 WITHIN = 5  # frames in which it should be noticed
@@ -76,7 +75,7 @@ def mirrored(case: Case, from_frame: int) -> Misfit:
 
 def clouded(case: Case, from_frame: int) -> Misfit:
     """A tenth of the light comes through over the brighter half of the body, left or right."""
-    sky = np.mean([_pixels(body) for body in case.backgrounds()], axis=0)
+    sky = np.mean([pixels(body) for body in case.backgrounds()], axis=0)
     first, truth = next(islice(case.frames(), from_frame, None))
     light = np.clip(grey(first) - sky.reshape(*sky.shape[:2], -1).mean(axis=2), 0, None)
     left_of = np.arange(light.shape[1]) < truth.position[0]
@@ -87,8 +86,7 @@ def clouded(case: Case, from_frame: int) -> Misfit:
         behind = side * (truth.position[0] - np.arange(image.shape[1]) - 0.5) / edge
         through = 1 - (1 - _CLOUD) / (1 + np.exp(-np.clip(behind, -50, 50)))
         through = through.reshape(1, -1, *[1] * (image.ndim - 2))
-        top = np.iinfo(image.dtype).max
-        return np.asarray(np.clip(np.rint(sky + (image - sky) * through), 0, top), dtype=image.dtype)
+        return counts(sky + (image - sky) * through, image)
 
     return Misfit("cloud", _spoilt(case, from_frame, cover), from_frame)
 
@@ -112,17 +110,6 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
 def _spoilt(case: Case, from_frame: int, spoil: Callable[[Pixels, TruthFrame], Pixels]) -> Case:
     def frames() -> Iterator[tuple[bytes, TruthFrame]]:
         for k, (body, truth) in enumerate(case.frames()):
-            yield (body if k < from_frame else _encoded(spoil(_pixels(body), truth))), truth
+            yield (body if k < from_frame else encode_png(spoil(pixels(body), truth))), truth
 
     return replace(case, frames=frames)
-
-
-def _pixels(body: bytes) -> Pixels:
-    image = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError("a frame is no image")
-    return np.asarray(image, dtype=image.dtype)
-
-
-def _encoded(image: Pixels) -> bytes:
-    return cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes()

@@ -16,7 +16,7 @@ from service.bench.silhouette import whole_pixels
 from service.bench.told import Told
 from service.inference.params import JointParams, SessionConfig
 from service.inference.state import FilterState
-from service.sessions.frame import OWN_SKY_FRAMES
+from service.sessions.frame import own_sky_frames
 from service.sessions.lighting import light_at
 from service.sessions.ranging import scale_bounds
 from service.workers.base import BackgroundJob, FrameJob, FrameReport
@@ -161,9 +161,8 @@ def learned_sky(tracker: Tracker, case: Case, config: SessionConfig, backgrounds
 def own_sky(tracker: Tracker, case: Case, config: SessionConfig) -> bytes:
     """The sky of a session to which nobody posts an empty frame, all of it learned ahead."""
     learned: bytes | None = None
-    for k, (body, _) in enumerate(islice(case.frames(), OWN_SKY_FRAMES[-1] + 1)):
-        if k in OWN_SKY_FRAMES:
-            learned = tracker.learn_background(BackgroundJob(config, body, _PNG, learned, own=True)).background
+    for body, _ in own_sky_frames(case.frames()):
+        learned = tracker.learn_background(BackgroundJob(config, body, _PNG, learned, own=True)).background
     assert learned is not None, "a case has at least one frame"
     return learned
 

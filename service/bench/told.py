@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
+from service.bench.brightness import counts, pixels
 from service.bench.cases import Case
 from service.inference.params import SessionConfig
 from service.inference.pose import exp_so3, rotation_matrices
 from service.inference.state import Array
+from service.simulate.folder import encode_png
 
 _ANY_DIRECTION = np.array([0.3, -0.5, 0.8])
 
@@ -50,12 +51,10 @@ class Told:
 
 
 def stretched(body: bytes, power: float) -> bytes:
-    """A PNG whose counts are those of another to a power, both as shares of full scale. Raises ``ValueError``."""
-    image = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError("a frame is no image")
-    top = (1 << 8 * image.dtype.itemsize) - 1
-    return cv2.imencode(".png", np.rint((image / top) ** power * top).astype(image.dtype))[1].tobytes()
+    """A PNG whose counts are those of another to a power, both as shares of full scale."""
+    image = pixels(body)
+    top = np.iinfo(image.dtype).max
+    return encode_png(counts((image / top) ** power * top, image))
 
 
 def turned(direction: Array, degrees: float) -> Array:

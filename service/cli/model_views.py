@@ -23,12 +23,11 @@ _VIEWS = ((0, 0, 0), (0, 90, 0), (0, 180, 0), (0, -90, 0), (90, 0, 0), (-90, 0, 
 def views(mesh: Mesh, articulation: Articulation, groups: NDArray[np.int32]) -> bytes:
     """PNG, two rows of six; ``groups`` (F,). Raises ``gpu.errors.DeviceError`` where there is no OpenCL."""
     count = len(_VIEWS)
-    rest = np.array([[joint.initial for joint in articulation.joints]] * count).reshape(count, -1)
     poses = Poses(
         exp_so3(np.deg2rad(np.array(_VIEWS, dtype=np.float64))),
         np.full((count, 2), SIDE / 2),
         np.full(count, np.log(_FILLED * SIDE / mesh.radius)),
-        rest,
+        np.repeat(articulation.initial[None], count, axis=0),
     )
     drawn = open_shaded(mesh, groups)
     try:

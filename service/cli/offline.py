@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -25,7 +24,7 @@ from service.inference.articulation import hold
 from service.inference.params import SessionConfig
 from service.inference.state import FilterState, PoseEstimate, Poses
 from service.sessions.document import JointNames, estimate_document
-from service.sessions.frame import OWN_SKY_FRAMES, format_time
+from service.sessions.frame import format_time, own_sky_frames
 from service.sessions.lighting import light_at
 from service.sessions.ranging import scale_bounds
 from service.simulate.compare import silhouette
@@ -147,8 +146,8 @@ class OfflinePass:
     def _learn(self, sky: Sky, frames: ImageSource) -> str:
         """Key of the learned background among the blobs."""
         learned: bytes | None = None
-        first = [one for k, one in enumerate(islice(frames, OWN_SKY_FRAMES[-1] + 1)) if k in OWN_SKY_FRAMES]
-        images: Sequence[ImageFile] | ImageSource = sky.images or (first if sky.own else first[:1])
+        images: Sequence[ImageFile] | ImageSource
+        images = sky.images or (own_sky_frames(frames) if sky.own else [next(iter(frames))])
         for image in images:
             job = BackgroundJob(self._config, image.body, image.media_type, learned, sky.box, sky.border_px, sky.own)
             learned = self._tracker.learn_background(job).background

@@ -36,13 +36,13 @@ class Examination:
 def examine(mesh: Mesh, articulation: Articulation, same: ModelSymmetries, unit_m: float | None) -> Examination:
     """``unit_m``: metres in a unit of the model, where that is known."""
     groups, area = surface_groups(mesh), face_areas(mesh)
-    total = max(float(area.sum()), 1e-300)
-    shares = tuple(float(v) for v in np.bincount(groups, weights=area) / total)
+    share = area / max(float(area.sum()), 1e-300)
+    shares = tuple(float(v) for v in np.bincount(groups, weights=share))
     found = [
-        *_of_size(mesh, area, unit_m),
-        *_of_parts(mesh, articulation, area / total),
+        *_of_size(mesh, share, unit_m),
+        *_of_parts(mesh, articulation, share),
         *_of_surfaces(shares),
-        *_of_faces(area / total),
+        *_of_faces(share),
         *mesh.warnings,
         *same.warnings,
     ]
@@ -50,16 +50,15 @@ def examine(mesh: Mesh, articulation: Articulation, same: ModelSymmetries, unit_
     return Examination(groups, shares, mesh.size, tuple(told), tuple(found))
 
 
-def _of_size(mesh: Mesh, area: NDArray[np.float64], unit_m: float | None) -> list[str]:
+def _of_size(mesh: Mesh, share: NDArray[np.float64], unit_m: float | None) -> list[str]:
     found, extent = [], max(mesh.size)
     low, high = SPACECRAFT_M
     if unit_m is not None and not low <= extent * unit_m <= high:
         found.append(f"it would be {extent * unit_m:.3g} m large: is a unit of the model {unit_m:g} m?")
     middles = np.vstack([part.vertices for part in mesh.parts])[mesh.faces].mean(axis=1)
-    weight = area / max(float(area.sum()), 1e-300)
-    away = np.linalg.norm(middles - weight @ middles, axis=1)
+    away = np.linalg.norm(middles - share @ middles, axis=1)
     order = np.argsort(away)
-    usual = float(away[order][min(int(np.searchsorted(np.cumsum(weight[order]), _NEARLY_ALL)), len(away) - 1)])
+    usual = float(away[order][min(int(np.searchsorted(np.cumsum(share[order]), _NEARLY_ALL)), len(away) - 1)])
     if away.max() > _FAR * usual:
         far = mesh.parts[int(mesh.part_of[order[-1]])].name
         found.append(f"something small of {far!r} lies {away.max() / usual:.1f} times as far out as all else")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from itertools import islice
+from typing import Any, TypeVar
 
 from service.errors import FrameConflictError, FrameGapError, IdempotencyKeyError, InputError
 from service.imaging.facts import FrameFacts
@@ -14,6 +15,7 @@ from service.inference.params import SessionConfig
 from service.store.base import SessionRecord, StoredFrame
 
 _FIRST, _LAST = datetime(1800, 1, 1, tzinfo=UTC), datetime(2200, 1, 1, tzinfo=UTC)  # else it is a slip of the pen
+T = TypeVar("T")
 ANY_KIND = "application/octet-stream"  # what generated clients send
 OWN_SKY_FRAMES = (0, 1, 2, 4, 8)
 """From which a session without empty frames learns its sky."""
@@ -148,6 +150,11 @@ def learns_own_sky(config: SessionConfig, record: SessionRecord) -> bool:
     if record.background_key is not None and not is_own_sky(record):
         return False
     return record.background_frames == OWN_SKY_FRAMES.index(record.next_index)
+
+
+def own_sky_frames(frames: Iterable[T]) -> list[T]:
+    """Those of a whole pass; no later one is looked at."""
+    return [one for k, one in enumerate(islice(frames, OWN_SKY_FRAMES[-1] + 1)) if k in OWN_SKY_FRAMES]
 
 
 def is_own_sky(record: SessionRecord) -> bool:
