@@ -45,6 +45,7 @@ class SessionRecord:
     background_frames: int = 0
     background_info: Mapping[str, Any] | None = None
     number: int = 0
+    ended_at: str | None = None  # it takes no more frames since
     model_ids: tuple[ModelKey, ...] = ()  # of a session that compares models, ``model_id`` the first; else none
     tenant: str = DEFAULT_TENANT
 

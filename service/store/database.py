@@ -23,7 +23,7 @@ log = structlog.get_logger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 
-NEWEST_REVISION = "0005"
+NEWEST_REVISION = "0006"
 
 
 class Database(ABC):
