@@ -9,6 +9,7 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from json import JSONDecodeError
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
@@ -16,7 +17,7 @@ import structlog
 from sqlalchemy import Connection, Engine, inspect
 from sqlalchemy.exc import DBAPIError
 
-from service.errors import StorageError
+from service.errors import DamagedError, StorageError
 from service.store.signals import Signal
 
 log = structlog.get_logger(__name__)
@@ -96,6 +97,8 @@ class Database(ABC):
         except DBAPIError as error:
             log.error("database refused", error=str(error.orig))
             raise StorageError(f"the database refused: {error.orig}") from error
+        except JSONDecodeError as error:
+            raise DamagedError(f"a stored document cannot be read: {error}") from error
 
     @abstractmethod
     def _open(self, beside: bool) -> None:

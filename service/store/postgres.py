@@ -153,6 +153,12 @@ class PostgresDatabase(Database):
         )
 
 
+def looking(url: str) -> Engine:
+    """An engine that only reads; nothing is migrated. Raises ``ConfigError`` for a URL that cannot be one."""
+    engine = create_engine(_checked(url), pool_size=1, max_overflow=0)
+    return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+
+
 class _Pauses:
     """Pauses between tries, longer and longer, until the time is over or the database is closed."""
 

@@ -16,7 +16,6 @@ from sqlalchemy import Float, Row, Table
 from sqlalchemy.sql.elements import KeyedColumnElement
 
 from service.errors import DamagedError
-from service.store.scope import public_id
 
 CHECKSUM = "checksum"
 _BYTES = 8  # one damaged row in 2**64 goes unnoticed
@@ -45,22 +44,21 @@ def record_values(row: Row[Any]) -> dict[str, Any]:
 
 def checked(table: Table, row: Row[Any]) -> Row[Any]:
     """The row, with all columns of this table in it. Raises ``DamagedError`` unless it is as it was stored."""
-    if intact(table, row) is False:
-        raise DamagedError(f"{row_name(table, row)} is not as it was stored")
+    if intact(table, row._mapping) is False:
+        raise DamagedError(f"{row_name(table, row._mapping)} is not as it was stored")
     return row
 
 
-def intact(table: Table, row: Row[Any]) -> bool | None:
-    """Whether a row is as it was stored; None of one that has no checksum."""
-    stored = row._mapping[table.c.checksum]
-    return None if stored is None else bool(stored == _checksum(table, row._mapping))
+def intact(table: Table, values: Mapping[Any, Any]) -> bool | None:
+    """Whether a row, by column, is as it was stored; None of one that has no checksum."""
+    stored = values[table.c.checksum]
+    return None if stored is None else bool(stored == _checksum(table, values))
 
 
-def row_name(table: Table, row: Row[Any]) -> str:
-    """Which row it is, for people."""
-    keys = {name: row._mapping[table.c[name]] for name in _KEYS if name in table.c}
-    keys |= {name: public_id(keys[name]) for name in ("session_id", "id") if name in keys}
-    return f"{table.name} ({', '.join(f'{name} {value}' for name, value in keys.items())})"
+def row_name(table: Table, values: Mapping[Any, Any]) -> str:
+    """Which row, by column, it is: for people."""
+    keys = ", ".join(f"{name} {values[table.c[name]]}" for name in _KEYS if name in table.c)
+    return f"{table.name} ({keys})"
 
 
 def _columns(table: Table) -> list[KeyedColumnElement[Any]]:
@@ -72,7 +70,7 @@ def _checksum(table: Table, values: Mapping[Any, Any]) -> str:
     for column in _columns(table):
         value = values[column]
         if not isinstance(value, bytes):
-            number = value is not None and isinstance(column.type, Float)
+            number = isinstance(value, int) and isinstance(column.type, Float)
             value = json.dumps(float(value) if number else value, sort_keys=True).encode()
         digest.update(b"%d:" % len(value))
         digest.update(value)

@@ -6,9 +6,10 @@ WAL lets readers go on beside the writer; ``synchronous=FULL`` makes a commit su
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Any, TypeVar
+from urllib.parse import quote
 
 from sqlalchemy import Connection, Engine, create_engine, event
 
@@ -16,6 +17,7 @@ from service.errors import StorageError
 from service.store.database import NEWEST_REVISION, Database, migrate, revision
 
 R = TypeVar("R")
+FILE = "skypose.sqlite3"
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=10000")
 
 
@@ -34,7 +36,7 @@ class SqliteDatabase(Database):
         in_use = self._take_lock()
         if in_use is not None and not beside:
             raise StorageError(f"{self._directory} is in use by another service") from in_use
-        file = self._directory / "skypose.sqlite3"
+        file = self._directory / FILE
         self._writer = _engine(file, 1, "BEGIN IMMEDIATE")
         with self._writer.begin() as connection:
             if in_use is None:
@@ -68,14 +70,19 @@ class SqliteDatabase(Database):
             self._lock = None
 
 
-def _engine(file: Path, connections: int, begin: str) -> Engine:
+def looking(file: Path) -> Engine:
+    """An engine that only reads, beside a service or without one: nothing is locked, made or migrated."""
+    return _engine(f"file:{quote(str(file.absolute()))}?mode=ro&uri=true", 1, "BEGIN", ("busy_timeout=10000",))
+
+
+def _engine(file: Path | str, connections: int, begin: str, pragmas: Sequence[str] = _PRAGMAS) -> Engine:
     engine = create_engine(
         f"sqlite+pysqlite:///{file}", pool_size=connections, max_overflow=0, pool_reset_on_return="rollback"
     )
 
     def prepare(connection: Any, _: Any) -> None:
         connection.isolation_level = None  # transactions begin where SQLAlchemy says, as ``begin`` says
-        for pragma in _PRAGMAS:
+        for pragma in pragmas:
             connection.execute(f"PRAGMA {pragma}")
 
     event.listen(engine, "connect", prepare)
