@@ -129,7 +129,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         checkpoints=Checkpoints(database, registry, library, engine, _check_estimate),
         batch_places=Places(settings.max_batches, "SKYPOSE_MAX_BATCHES"),
         batches=Batches(registry, engine, inspector),
-        status=Status(database, engine),
+        status=Status(database, engine, settings.min_free_mb * MEBIBYTE),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),
         submissions=Submissions(),
         forwarding=forwarding,
@@ -166,7 +166,7 @@ async def _lifespan(
         except SkyposeError as error:
             app.state.refused = error.detail  # told in a line by the command
             raise
-        stack.push_async_callback(services.audit.store, final=True)
+        stack.push_async_callback(_note_last_callers, services)
         stack.push_async_callback(engine.transport.close)
         stack.callback(inspector.close)
         await engine.transport.start()
@@ -227,6 +227,13 @@ async def _note_callers(services: Services) -> None:
         await services.keys.note_use()
     except StorageError as error:
         log.warning("audit log or use of keys not stored; tried again", error=error.detail)
+
+
+async def _note_last_callers(services: Services) -> None:
+    try:
+        await services.audit.store(final=True)
+    except StorageError as error:  # the end goes on: what is still in hand must be let go of
+        log.error("the last entries of the audit log are not stored", error=error.detail)
 
 
 async def _cancel(task: asyncio.Task[None]) -> None:

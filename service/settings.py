@@ -131,6 +131,13 @@ class Settings(BaseSettings):
     stream_send_timeout_s: PositiveSeconds = 30.0
     """A client that takes nothing of an answer or stream for so long is let go."""
 
+    start_check_mb: Annotated[int, Field(ge=0)] = 1024
+    """SQLite: a database of up to so many MiB is checked (`quick_check`) before the service starts."""
+    disk_reserve_mb: Annotated[int, Field(ge=0)] = 64
+    """SQLite: MiB of the disk held by a file in the data directory, to delete sessions with when the disk is full. 64
+    are enough for one of some 90,000 frames. 0: none."""
+    min_free_mb: Annotated[int, Field(ge=0)] = 64
+    """SQLite: with less free on the disk of the data directory, in MiB, `/readyz` says so and answers 503."""
     reader_threads: Positive = 4
     """Threads that read the database."""
 

@@ -145,7 +145,7 @@ class Registry:
             owner = self._resident.pop(session_id, None)
             if owner is not None:
                 await owner.inbox.close()
-            await self._rooms.database.write(sessions.remove, session_id)
+            await self._rooms.database.free(sessions.remove, session_id)
         self._rooms.hub.end(session_id, "deleted")
 
     async def take_in(self, given: StoredSession) -> bool:

@@ -7,7 +7,7 @@ import uuid
 from sqlalchemy import Engine
 
 from service.errors import StorageError
-from service.settings import Settings
+from service.settings import MEBIBYTE, Settings
 from service.store import postgres, sqlite
 from service.store.database import Database
 from service.store.postgres import PostgresDatabase
@@ -21,7 +21,12 @@ def database_of(settings: Settings, sender: str | None = None) -> Database:
     """
     url = settings.database_url.get_secret_value()
     if not url:
-        return SqliteDatabase(settings.data_dir, settings.reader_threads)
+        return SqliteDatabase(
+            settings.data_dir,
+            settings.reader_threads,
+            check_bytes=settings.start_check_mb * MEBIBYTE,
+            reserve_bytes=settings.disk_reserve_mb * MEBIBYTE,
+        )
     return PostgresDatabase(
         url,
         sender=sender or str(uuid.uuid4()),

@@ -18,6 +18,7 @@ from sqlalchemy import Connection, Engine, inspect
 from sqlalchemy.exc import DBAPIError
 
 from service.errors import DamagedError, StorageError
+from service.store.disk import Room
 from service.store.signals import Signal
 
 log = structlog.get_logger(__name__)
@@ -71,6 +72,18 @@ class Database(ABC):
 
         return await self._run(self._write_threads, lambda: self._transaction(work))
 
+    async def free(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """As ``write``, for what only deletes: SQLite does it on a full disk too."""
+
+        def work(connection: Connection) -> R:
+            return function(connection, *args, **kwargs)
+
+        return await self._run(self._write_threads, lambda: self._freeing(work))
+
+    async def room(self) -> Room:
+        """How large the database is, and how much of its disk is free. Raises ``StorageError``."""
+        return await self._run(self._write_threads, self._room)
+
     async def read(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
         """Run ``function(connection, ...)`` in a reading thread, on one snapshot."""
 
@@ -107,6 +120,14 @@ class Database(ABC):
     @abstractmethod
     def _transaction(self, work: Callable[[Connection], R]) -> R:
         """See ``write``; in a writing thread."""
+
+    def _freeing(self, work: Callable[[Connection], R]) -> R:
+        """See ``free``; in a writing thread."""
+        return self._transaction(work)
+
+    @abstractmethod
+    def _room(self) -> Room:
+        """See ``room``; in a writing thread."""
 
     @abstractmethod
     def _snapshot(self, work: Callable[[Connection], R]) -> R:

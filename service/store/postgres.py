@@ -18,6 +18,7 @@ from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, OperationalErro
 
 from service.errors import ConfigError, InputError, StorageError
 from service.store.database import Database, migrate
+from service.store.disk import Room
 from service.store.listener import Listener
 from service.store.signals import SENDER, Heard, Signal
 from service.store.teller import Teller
@@ -113,6 +114,10 @@ class PostgresDatabase(Database):
             except DBAPIError as error:
                 if not _is_lost(error) or not pauses.pause():
                     raise
+
+    def _room(self) -> Room:
+        query = text("SELECT pg_database_size(current_database())")
+        return Room(int(self._snapshot(lambda connection: connection.execute(query).scalar_one())))
 
     def _close(self) -> None:
         self._ending.set()
