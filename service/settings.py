@@ -120,6 +120,11 @@ class Settings(BaseSettings):
     keep_particle_every: Annotated[int, Field(ge=0)] = 16
     """Beside those, the particle set of every n-th frame is kept. 0 keeps no others."""
 
+    end_idle_days: Annotated[float, Field(ge=0, le=36500)] = 0.0
+    """A session that nobody sends frames to for so many days ends: it can be read, and takes no more. 0: never."""
+    retain_ended_days: Annotated[float, Field(ge=0, le=36500)] = 0.0
+    """A session that ended so many days ago is deleted with its whole history, when no frame waits. 0: never."""
+
     max_streams: Positive = 256
     """Watchers (WebSocket and event streams) at once; one more is answered 503."""
     stream_heartbeat_s: PositiveSeconds = 15.0

@@ -51,6 +51,15 @@ class SessionRecord:
 
 
 @dataclass(frozen=True)
+class SessionStamp:
+    """When a session was last used, and when it ended."""
+
+    id: SessionKey
+    updated_at: str
+    ended_at: str | None
+
+
+@dataclass(frozen=True)
 class StoredContender:
     """A model that a session compares, after the newest frame."""
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select, update
 
 from service.errors import DamagedError, NotFoundError, QuotaExceededError, StaleOwnerError
 from service.store import instances, models
-from service.store.base import NO_QUOTAS, BackgroundRecord, Quotas, SessionRecord, StoredContender
+from service.store.base import NO_QUOTAS, BackgroundRecord, Quotas, SessionRecord, SessionStamp, StoredContender
 from service.store.instances import Instance
 from service.store.scope import SessionKey, public_id
 from service.store.seal import checked, record_values, row_of, sealed
@@ -135,10 +135,29 @@ def put_contenders(connection: Connection, session_id: SessionKey, given: Sequen
         connection.execute(insert(contenders).values(row))
 
 
-def remove(connection: Connection, session_id: SessionKey) -> None:
-    """Delete a session with all its history. Raises ``NotFoundError``."""
+def stamps(connection: Connection) -> list[SessionStamp]:
+    """When each session, of any tenant, was last used and ended."""
+    query = select(sessions.c.id, sessions.c.updated_at, sessions.c.ended_at).order_by(sessions.c.number)
+    return [SessionStamp(row.id, row.updated_at, row.ended_at) for row in connection.execute(query)]
+
+
+def end(connection: Connection, stamp: SessionStamp, now: str) -> bool:
+    """End a session, unless it was used since or has ended. Its owner can write no more. Returns whether it did."""
+    values = {"ended_at": now, "epoch": sessions.c.epoch + 1}
+    return connection.execute(update(sessions).where(*_unchanged(stamp)).values(values)).rowcount == 1
+
+
+def _unchanged(stamp: SessionStamp) -> tuple[ColumnElement[bool], ...]:
+    since = (sessions.c.updated_at == stamp.updated_at, sessions.c.ended_at.is_not_distinct_from(stamp.ended_at))
+    return sessions.c.id == stamp.id, *since
+
+
+def remove(connection: Connection, session_id: SessionKey, stamp: SessionStamp | None = None) -> None:
+    """Delete a session with all its history; with ``stamp`` only while that is true. Raises ``NotFoundError``."""
     alone(connection)
     query = select(sessions.c.background_key).where(sessions.c.id == session_id).with_for_update()
+    if stamp is not None:
+        query = query.where(*_unchanged(stamp))
     row = connection.execute(query).first()  # not ``get``: what is damaged can be deleted
     if row is None:
         raise unknown(session_id)
