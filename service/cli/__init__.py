@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from service.cli.backup import backup, restore
 from service.cli.bench import bench
 from service.cli.demo import demo
 from service.cli.doctor import doctor
@@ -28,6 +29,8 @@ app.command()(ingest)
 app.command()(export)
 app.command()(openapi)
 app.command()(verify)
+app.command()(backup)
+app.command()(restore)
 app.add_typer(bench)
 app.add_typer(keys)
 app.add_typer(model)
