@@ -51,6 +51,11 @@ def verified(engine: Engine) -> int:
         engine.dispose()
     if found.unsealed:
         typer.echo(f"{found.unsealed} rows are of a release before there were checksums")
-    told = f"{found.problems} problems" if found.problems else "no problem"
-    typer.echo(f"{found.sessions} sessions, {found.frames} frames, {found.rows} rows: {told}")
+    counts = (
+        ("sessions", found.sessions),
+        ("frames", found.frames),
+        ("rows", found.rows),
+        ("problems", found.problems),
+    )
+    typer.echo(", ".join(f"{what} {count}" for what, count in counts))
     return found.problems

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from service.cli import app
 from service.store import models, sessions
 from service.store.base import ModelRecord, SessionRecord
+from service.store.postgres import PostgresDatabase
 from service.store.sqlite import FILE, RESERVE, SqliteDatabase
 
 
@@ -43,7 +44,7 @@ def names(file) -> list[str]:
 def test_a_copy_of_a_database_in_use_is_put_back_elsewhere(used, tmp_path):
     copy, elsewhere = tmp_path / "copy.sqlite3", tmp_path / "elsewhere"
     made = run("backup", copy, "--data", used)
-    assert (made.exit_code, "1 sessions, 0 frames, 3 rows: no problem" in made.stdout) == (0, True)
+    assert (made.exit_code, "sessions 1, frames 0, rows 3, problems 0" in made.stdout) == (0, True)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["copy.sqlite3", "data"]
     assert run("verify", copy).exit_code == 0
     (elsewhere / "kernels").mkdir(parents=True)
@@ -83,6 +84,27 @@ def test_a_damaged_copy_is_told_and_not_put_back(used, tmp_path):
     (tmp_path / "text").write_text("no database")
     assert run("verify", tmp_path / "text").exit_code == 2
     assert run("restore", tmp_path / "text", "--data", elsewhere).exit_code == 2
+
+
+def test_postgres_is_verified_as_it_is(postgres, monkeypatch):
+    url = postgres.database()
+    monkeypatch.setenv("SKYPOSE_DATABASE_URL", url)
+    empty = run("verify")
+    assert (empty.exit_code, "no database of this release" in empty.output) == (2, True)
+    database = PostgresDatabase(url, sender="me", connections=1, reader_threads=1, wait_s=10.0, idle_s=5.0)
+
+    async def begin() -> None:
+        await database.open()
+        await database.write(models.add, ModelRecord("m", "n", "glb", "blob", {}, "t"), b"mesh")
+        await database.write(lambda connection: connection.exec_driver_sql("UPDATE models SET name = 'N'") and None)
+        await database.close()
+
+    asyncio.run(begin())
+    told = run("verify")
+    assert (told.exit_code, told.stdout.splitlines()) == (
+        1,
+        ["models (id m) is not as it was stored", "sessions 0, frames 0, rows 2, problems 1"],
+    )
 
 
 def test_postgres_is_told_its_own_tools(tmp_path, monkeypatch):
