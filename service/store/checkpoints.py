@@ -99,7 +99,7 @@ def write(connection: Connection, given: StoredSession, quotas: Quotas = NO_QUOT
             connection.execute(insert(table), [sealed(table, {**row, "session_id": record.id}) for row in rows])
     if given.state is not None:
         newest = {"session_id": record.id, "idx": record.next_index - 1, "state": given.state}
-        connection.execute(insert(particles).values(sealed(particles, newest)))
+        connection.execute(insert(particles), sealed(particles, newest))
     send(connection, Signal("replaced", record.id, record.next_seq - 1))
     return old is None
 

@@ -50,7 +50,7 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
 
 
 def _put(connection: Connection, table: Table, values: Mapping[str, Any]) -> None:
-    connection.execute(insert(table).values(sealed(table, values)))
+    connection.execute(insert(table), sealed(table, values))
 
 
 def _forget(connection: Connection, session_id: SessionKey, newest: int, retention: Retention) -> None:

@@ -24,7 +24,7 @@ def add(connection: Connection, record: ModelRecord, data: bytes, quotas: Quotas
             raise QuotaExceededError(f"{count} models are there", limit=quotas.models, setting="SKYPOSE_QUOTA_MODELS")
         put_blob(connection, record.blob_key, data)
         values = {**row_of(models, record), "joints": _list(record.joints)}
-        connection.execute(insert(models).values(sealed(models, values)))
+        connection.execute(insert(models), sealed(models, values))
 
 
 def find(connection: Connection, model_id: ModelKey) -> ModelRecord | None:
@@ -66,7 +66,7 @@ def remove(connection: Connection, model_id: ModelKey) -> None:
 def put_blob(connection: Connection, key: str, data: bytes) -> None:
     """Store bytes under their content's key, unless they are there. For transactions that are ``alone``."""
     if connection.execute(select(blobs.c.key).where(blobs.c.key == key)).first() is None:
-        connection.execute(insert(blobs).values(sealed(blobs, {"key": key, "data": data})))
+        connection.execute(insert(blobs), sealed(blobs, {"key": key, "data": data}))
 
 
 def get_blob(connection: Connection, key: str) -> bytes:

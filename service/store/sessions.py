@@ -24,7 +24,7 @@ def add(connection: Connection, record: SessionRecord, quotas: Quotas = NO_QUOTA
     models.get(connection, record.model_id)
     _require_room(connection, record, quotas)
     values = {**row_of(sessions, record), "warnings": list(record.warnings)}
-    connection.execute(insert(sessions).values(sealed(sessions, values)))
+    connection.execute(insert(sessions), sealed(sessions, values))
     for model_id in record.model_ids:
         models.get(connection, model_id)
     put_contenders(connection, record.id, [StoredContender(model_id, None, 0.0) for model_id in record.model_ids])
@@ -132,7 +132,7 @@ def put_contenders(connection: Connection, session_id: SessionKey, given: Sequen
     for ordinal, one in enumerate(given):
         values = {"model_id": one.model_id, "state": one.state, "log_evidence": one.log_evidence}
         row = sealed(contenders, {"session_id": session_id, "ordinal": ordinal, **values})
-        connection.execute(insert(contenders).values(row))
+        connection.execute(insert(contenders), row)
 
 
 def stamps(connection: Connection) -> list[SessionStamp]:
@@ -207,7 +207,7 @@ def set_background(connection: Connection, record: BackgroundRecord) -> None:
         "frames": record.frames,
         "created_at": record.created_at,
     }
-    connection.execute(insert(backgrounds).values(sealed(backgrounds, values)))
+    connection.execute(insert(backgrounds), sealed(backgrounds, values))
 
 
 def _record(row: Row[Any]) -> SessionRecord:
