@@ -18,6 +18,7 @@ from service.store.seal import CHECKSUM, intact, is_sealed, row_name
 from service.store.tables import estimates, events, frames, metadata, particles, sessions
 
 Tell = Callable[[str], None]
+Span = tuple[int, int | None, int | None]  # how many, the first, the last
 _AT_ONCE = 100  # rows in memory: each may hold a file of some megabytes
 
 
@@ -86,7 +87,7 @@ def _foreign(connection: Connection, table: Table) -> Iterator[str]:
         there = select(key.column).where(key.column == own).exists()
         query = select(own, func.count()).where(own.is_not(None), ~there).group_by(own)
         for named, count in connection.execute(query):
-            yield f"{table.name}: {count} rows of {key.column.table.name} {named}, which is not there"
+            yield f"{table.name}: {count} with {own.name} {named}, which is not in {key.column.table.name}"
 
 
 def _gaps(connection: Connection) -> Iterator[str]:
@@ -97,8 +98,7 @@ def _gaps(connection: Connection) -> Iterator[str]:
             wanted = (after - first, first, after - 1) if after > first else (0, None, None)
             found = spans[name].get(session_id, (0, None, None))
             if found != wanted:
-                told = f"{found[0]} from {found[1]} to {found[2]}" if found[0] else "none"
-                yield f"session {session_id}: {name} {first} to {after - 1} are wanted, {told} found"
+                yield f"session {session_id}: {name} {_told(wanted)} are wanted, {_told(found)} found"
         if next_index:
             yield from _unlike_its_last(connection, session_id, next_index - 1, time_s)
     shown = (estimates.c.session_id == events.c.session_id) & (estimates.c.idx == events.c.idx)
@@ -116,10 +116,15 @@ def _unlike_its_last(connection: Connection, session_id: str, last: int, time_s:
         yield f"session {session_id}: its state, the particles of frame {last}, is missing"
 
 
+def _told(span: Span) -> str:
+    count, first, last = span
+    return f"{first} to {last} ({count})" if count else "none"
+
+
 _SEQUENCES = ((frames, frames.c.idx), (estimates, estimates.c.idx), (events, events.c.seq))
 
 
-def _spans(connection: Connection, table: Table, column: Column[Any]) -> dict[str, tuple[int, int | None, int | None]]:
+def _spans(connection: Connection, table: Table, column: Column[Any]) -> dict[str, Span]:
     query = select(table.c.session_id, func.count(), func.min(column), func.max(column)).group_by(table.c.session_id)
     return {session_id: (count, first, last) for session_id, count, first, last in connection.execute(query)}
 

@@ -49,11 +49,11 @@ CHANGES = {
     "UPDATE blobs SET checksum = 'x' WHERE key = 'sky'": "blobs (key sky) is not as it was stored",
     "UPDATE frames SET sha256 = 'h' WHERE idx = 1": "frames (session_id s, idx 1) is not as it was stored",
     "UPDATE contenders SET log_evidence = 1": "contenders (session_id s, ordinal 0) is not as it was stored",
-    "DELETE FROM frames WHERE idx = 1": "session s: frames 0 to 2 are wanted, 2 from 0 to 2 found",
+    "DELETE FROM frames WHERE idx = 1": "session s: frames 0 to 2 (3) are wanted, 0 to 2 (2) found",
     "DELETE FROM estimates WHERE idx = 2": "session s: event 3 is of no estimate",
-    "DELETE FROM events": "session s: events 1 to 3 are wanted, none found",
+    "DELETE FROM events": "session s: events 1 to 3 (3) are wanted, none found",
     "DELETE FROM particles": "session s: its state, the particles of frame 2, is missing",
-    "UPDATE sessions SET next_index = 2": "session s: frames 0 to 1 are wanted, 3 from 0 to 2 found",
+    "UPDATE sessions SET next_index = 2": "session s: frames 0 to 1 (2) are wanted, 0 to 2 (3) found",
     "UPDATE sessions SET time_s = 7": "session s: its time is not that of its last frame",
     "UPDATE frames SET checksum = NULL": None,
 }
@@ -93,7 +93,7 @@ async def test_sqlite_tells_foreign_rows_and_damaged_documents(tmp_path):
     with engine.connect() as looked:
         verify(looked, lines.append)
     engine.dispose()
-    assert lines == ["models: 1 rows of blobs blob, which is not there", "sessions (id s) is not as it was stored"]
+    assert lines == ["models: 1 with blob_key blob, which is not in blobs", "sessions (id s) is not as it was stored"]
 
 
 @pytest.mark.parametrize("revision", ["0001", "0005"])
