@@ -54,12 +54,15 @@ class Reserve:
         self._size = size
 
     def fill(self) -> None:
-        """Take what is missing, or as much of it as there is."""
-        held = self._file.stat().st_size if self._file.exists() else 0
-        missing = min(self._size - held, free_bytes(self._file.parent) - _LEFT_FREE)
-        if missing > 0:
-            with self._file.open("ab") as file:
-                os.posix_fallocate(file.fileno(), held, missing)
+        """Take what is missing, or as much of it as there is. What the disk refuses is logged: it can wait."""
+        try:
+            held = self._file.stat().st_size if self._file.exists() else 0
+            missing = min(self._size - held, free_bytes(self._file.parent) - _LEFT_FREE)
+            if missing > 0:
+                with self._file.open("ab") as file:
+                    os.posix_fallocate(file.fileno(), held, missing)
+        except OSError as error:
+            log.warning("no disk space kept to delete with", file=str(self._file), error=error.strerror)
 
     def release(self) -> None:
         """Give it up."""

@@ -57,17 +57,18 @@ class SqliteDatabase(Database):
         if self._lock is None:
             self._open_beside(beside)
         else:
-            self._open_own()
+            self._open_own(check=not beside)
         self._reader = _engine(self._file, self._n_readers, "BEGIN")
         self._opened = OpenFiles([self._file, *(Path(f"{self._file}{end}") for end in _BESIDE)])
 
-    def _open_own(self) -> None:
+    def _open_own(self, check: bool) -> None:
         self._reserve.release_if_full()
-        size = self._file.stat().st_size if self._file.exists() else 0
+        size = self._file.stat().st_size if check and self._file.exists() else 0
         self._writer = _engine(self._file, 1, "BEGIN IMMEDIATE")
         try:
             with self._writer.begin() as connection:
-                self._require_sound(connection, size)
+                if size:
+                    self._require_sound(connection, size)
                 migrate(connection)
         except DBAPIError as error:
             if _code(error) in _DAMAGED:
@@ -125,8 +126,11 @@ class SqliteDatabase(Database):
     def _room(self) -> Room:
         if self._lock is not None:
             self._reserve.fill()
-        files = (self._file, *(Path(f"{self._file}{end}") for end in _BESIDE))
-        return Room(sum(file.stat().st_size for file in files if file.exists()), free_bytes(self._directory))
+        try:
+            files = (self._file, *(Path(f"{self._file}{end}") for end in _BESIDE))
+            return Room(sum(file.stat().st_size for file in files if file.exists()), free_bytes(self._directory))
+        except OSError as error:
+            raise StorageError(f"the data directory cannot be looked at: {error.strerror}") from error
 
     def _close(self) -> None:
         super()._close()

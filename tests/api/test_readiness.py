@@ -6,6 +6,7 @@ import shutil
 import pytest
 from api_client import running
 
+from service.housekeeping import Housekeeping
 from service.sessions import status
 from service.store.sqlite import FILE
 
@@ -40,6 +41,16 @@ async def test_a_file_taken_away_stops_acknowledging(make_app, tmp_path, do, nam
         ready = await api.http.get("/readyz")
         assert (ready.status_code, ready.json()["checks"]["database"]) == (503, False)
         assert f"{name} was removed or replaced" in ready.json()["reasons"][0]
+        assert (await api.http.get("/healthz")).status_code == 200
+
+
+async def test_a_data_directory_taken_away_is_told_and_stops_nothing_else(make_app, tmp_path):
+    async with running(make_app(disk_reserve_mb=1)) as api:
+        services = api.app.state.services
+        shutil.rmtree(tmp_path / "data")
+        ready = await api.http.get("/readyz")
+        assert (ready.status_code, len(ready.json()["reasons"])) == (503, 1)
+        await Housekeeping(services, services.library._engine, services.archive.database)._measure()
         assert (await api.http.get("/healthz")).status_code == 200
 
 
