@@ -2,13 +2,16 @@
 
 import math
 import shutil
+import sqlite3
 
 import pytest
 from api_client import running
+from sqlalchemy import event
+from sqlalchemy.exc import OperationalError
 
 from service.housekeeping import Housekeeping
 from service.sessions import status
-from service.store.sqlite import FILE
+from service.store.sqlite import FILE, RESERVE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("one_process")]
 
@@ -52,6 +55,28 @@ async def test_a_data_directory_taken_away_is_told_and_stops_nothing_else(make_a
         assert (ready.status_code, len(ready.json()["reasons"])) == (503, 1)
         await Housekeeping(services, services.library._engine, services.archive.database)._measure()
         assert (await api.http.get("/healthz")).status_code == 200
+
+
+async def test_sessions_and_models_are_deleted_with_what_is_kept_for_it(make_app, tmp_path):
+    reserve = tmp_path / "data" / RESERVE
+
+    def full_while_it_is_kept(*_):
+        if reserve.exists():
+            error = sqlite3.OperationalError("database or disk is full")
+            error.sqlite_errorcode = sqlite3.SQLITE_FULL
+            raise OperationalError("statement", {}, error)
+
+    async with running(make_app(disk_reserve_mb=1)) as api:
+        session_id = await api.ready_session()
+        model_id = (await api.http.get(f"/v1/sessions/{session_id}")).json()["model_id"]
+        writer = api.app.state.services.archive.database.writer
+        event.listen(writer, "before_cursor_execute", full_while_it_is_kept)
+        assert (await api.put(session_id, 0, 0)).status_code == 503
+        for path in (f"sessions/{session_id}", f"models/{model_id}"):
+            assert (await api.http.delete(f"/v1/{path}")).status_code == 204
+            assert (await api.http.get(f"/v1/{path}")).status_code == 404
+            assert reserve.stat().st_size == 1 << 20
+        event.remove(writer, "before_cursor_execute", full_while_it_is_kept)
 
 
 async def test_a_full_disk_and_a_database_that_takes_no_write_are_not_ready(make_app, tmp_path):
