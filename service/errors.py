@@ -35,6 +35,7 @@
     │   ├── StorageError                  503  the database refused a write (disk full, I/O error)
     │   ├── StaleOwnerError               503  another owner has taken the session
     │   └── StoppingError                 503  the service is shutting down
+    ├── DamagedError                      500  what is stored is not what was stored
     └── MissingBlobError                  500  inside only: the worker needs bytes it has not got
 
 Raised where the reason is known, turned into an RFC 9457 answer in one place (``service.api.problems``).
@@ -44,6 +45,7 @@ Errors cross process borders, so each is rebuilt from its detail and facts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, ClassVar
 
 
@@ -65,11 +67,7 @@ class SkyposeError(Exception):
         self.facts = facts
 
     def __reduce__(self) -> tuple[Callable[..., SkyposeError], tuple[Any, ...]]:
-        return _rebuild, (type(self), self.detail, self.field, self.facts)
-
-
-def _rebuild(kind: type[SkyposeError], detail: str, field: str | None, facts: dict[str, Any]) -> SkyposeError:
-    return kind(detail, field=field, **facts)
+        return partial(type(self), field=self.field, **self.facts), (self.detail,)
 
 
 class InputError(SkyposeError):
@@ -269,6 +267,12 @@ class StoppingError(BusyError):
     retry_after_s = 5
 
 
+class DamagedError(SkyposeError):
+    """What is stored is not what was stored: its checksum is another. `skypose verify` tells what else is damaged."""
+
+    slug, title = "damaged", "Stored data is damaged"
+
+
 class MissingBlobError(SkyposeError):
     """The worker needs bytes it has not got; ``keys`` in the facts names them. Never leaves the service."""
 
@@ -288,10 +292,7 @@ class MissingBlobError(SkyposeError):
 
 def every_error() -> list[type[SkyposeError]]:
     """The whole tree, parents first: for the documentation and its test."""
-    found: list[type[SkyposeError]] = []
-    queue: list[type[SkyposeError]] = [SkyposeError]
-    while queue:
-        kind = queue.pop(0)
-        found.append(kind)
-        queue.extend(kind.__subclasses__())
+    found: list[type[SkyposeError]] = [SkyposeError]
+    for kind in found:
+        found.extend(kind.__subclasses__())
     return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 import uuid
 from collections.abc import AsyncIterator, Mapping
 from datetime import UTC, datetime
@@ -37,6 +36,7 @@ from service.api.services import Services
 from service.api.submissions import Submissions
 from service.ears import Ears
 from service.errors import ConfigError, SkyposeError, StorageError
+from service.housekeeping import Housekeeping
 from service.metrics import Metrics
 from service.sessions.admission import Admission, Places
 from service.sessions.archive import Archive
@@ -46,6 +46,7 @@ from service.sessions.cluster import Cluster
 from service.sessions.hub import Hub
 from service.sessions.library import Library
 from service.sessions.line import Line
+from service.sessions.pruning import Pruning
 from service.sessions.registry import Registry
 from service.sessions.session import Rooms
 from service.sessions.status import Status
@@ -55,6 +56,7 @@ from service.store.choice import database_of
 from service.store.database import Database
 from service.store.instances import Instance
 from service.store.postgres import PostgresDatabase
+from service.store.rules import Rules
 from service.workers.engine import Engine, Transport
 from service.workers.inspector import Inspector
 from service.workers.limits import DecodeLimits
@@ -62,7 +64,6 @@ from service.workers.transports import open_transport
 
 log = structlog.get_logger(__name__)
 VIEWER = Path(__file__).parent / "viewer"
-HOUSEKEEPING_S = 1.0
 
 
 def create_app(settings: Settings, transport: Transport | None = None) -> FastAPI:
@@ -124,12 +125,13 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         metrics=metrics,
         hub=hub,
         registry=registry,
+        pruning=Pruning(database, registry, Rules(settings.end_idle_days, settings.retain_ended_days)),
         library=library,
         archive=Archive(database, engine),
         checkpoints=Checkpoints(database, registry, library, engine, _check_estimate),
         batch_places=Places(settings.max_batches, "SKYPOSE_MAX_BATCHES"),
         batches=Batches(registry, engine, inspector),
-        status=Status(database, engine),
+        status=Status(database, engine, settings.min_free_mb * MEBIBYTE),
         admission=Admission(settings.max_pending_mb * MEBIBYTE),
         submissions=Submissions(),
         forwarding=forwarding,
@@ -166,7 +168,7 @@ async def _lifespan(
         except SkyposeError as error:
             app.state.refused = error.detail  # told in a line by the command
             raise
-        stack.push_async_callback(services.audit.store, final=True)
+        stack.push_async_callback(_note_last_callers, services)
         stack.push_async_callback(engine.transport.close)
         stack.callback(inspector.close)
         await engine.transport.start()
@@ -174,7 +176,7 @@ async def _lifespan(
         await stack.enter_async_context(_among_others(services.forwarding))
         stack.push_async_callback(services.registry.close)
         stack.callback(services.hub.stop)
-        housekeeping = asyncio.create_task(_keep_house(services, engine))
+        housekeeping = asyncio.create_task(Housekeeping(services, engine, database).run())
         stack.push_async_callback(_cancel, housekeeping)
         log.info("ready", version=app.version)
         yield
@@ -196,37 +198,11 @@ async def _among_others(forwarding: Forwarding) -> AsyncIterator[None]:
         await forwarding.close()
 
 
-async def _keep_house(services: Services, engine: Engine) -> None:
-    metrics, registry = services.metrics, services.registry
-    while True:
-        due = time.monotonic() + HOUSEKEEPING_S
-        await asyncio.sleep(HOUSEKEEPING_S)
-        metrics.loop_lag_seconds.set(time.monotonic() - due)
-        metrics.evictions.inc(registry.evict())
-        metrics.resident_sessions.set(len(registry.resident))
-        metrics.waiting_frames.set(sum(owner.inbox.size for owner in registry.resident.values()))
-        metrics.waiting_bytes.set(services.admission.size)
-        metrics.watchers.set(services.hub.watchers)
-        metrics.worker_restarts.set(engine.transport.restarts)
-        await _note_callers(services)
-        await _look_at_logs(services)
-
-
-async def _look_at_logs(services: Services) -> None:
-    """A process that dies after a commit tells nobody: this is how late its watchers elsewhere are at most."""
+async def _note_last_callers(services: Services) -> None:
     try:
-        if services.forwarding.cluster is not None:
-            await services.hub.look_again()
-    except StorageError as error:
-        log.warning("logs of watched sessions not read; tried again", error=error.detail)
-
-
-async def _note_callers(services: Services) -> None:
-    try:
-        await services.audit.store()
-        await services.keys.note_use()
-    except StorageError as error:
-        log.warning("audit log or use of keys not stored; tried again", error=error.detail)
+        await services.audit.store(final=True)
+    except StorageError as error:  # the end goes on: what is still in hand must be let go of
+        log.error("the last entries of the audit log are not stored", error=error.detail)
 
 
 async def _cancel(task: asyncio.Task[None]) -> None:

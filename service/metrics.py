@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 _SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
@@ -52,12 +54,18 @@ class Metrics:
         self.fenced = Counter(
             "skypose_fenced_frames_total", "Frames not stored, as another took the session", registry=self.registry
         )
+        self.retention = Counter(
+            "skypose_retention_total", "Sessions ended and deleted by rule", ["action"], registry=self.registry
+        )
         self.evictions = Counter("skypose_evictions_total", "Idle sessions that left memory", registry=self.registry)
         self.resident_sessions = self._gauge("skypose_resident_sessions", "Sessions in memory")
         self.waiting_frames = self._gauge("skypose_waiting_frames", "Frames waiting or under way")
         self.waiting_bytes = self._gauge("skypose_waiting_bytes", "Bytes of those frames")
         self.watchers = self._gauge("skypose_watchers", "Open streams")
         self.worker_restarts = self._gauge("skypose_worker_restarts", "Workers lost since the start")
+        self.database_bytes = self._gauge("skypose_database_bytes", "Size of the database, its log included")
+        self.disk_free_bytes = self._gauge("skypose_disk_free_bytes", "Free on its disk; NaN where it is elsewhere")
+        self.disk_free_bytes.set(math.nan)
         self.loop_lag_seconds = self._gauge("skypose_loop_lag_seconds", "Delay of the event loop, newest")
 
     def _gauge(self, name: str, text: str) -> Gauge:

@@ -120,6 +120,11 @@ class Settings(BaseSettings):
     keep_particle_every: Annotated[int, Field(ge=0)] = 16
     """Beside those, the particle set of every n-th frame is kept. 0 keeps no others."""
 
+    end_idle_days: Annotated[float, Field(ge=0, le=36500)] = 0.0
+    """A session that nobody sends frames to for so many days ends: it can be read, and takes no more. 0: never."""
+    retain_ended_days: Annotated[float, Field(ge=0, le=36500)] = 0.0
+    """A session that ended so many days ago is deleted with its whole history, when no frame waits. 0: never."""
+
     max_streams: Positive = 256
     """Watchers (WebSocket and event streams) at once; one more is answered 503."""
     stream_heartbeat_s: PositiveSeconds = 15.0
@@ -131,6 +136,13 @@ class Settings(BaseSettings):
     stream_send_timeout_s: PositiveSeconds = 30.0
     """A client that takes nothing of an answer or stream for so long is let go."""
 
+    start_check_mb: Annotated[int, Field(ge=0)] = 1024
+    """SQLite: a database of up to so many MiB is checked (`quick_check`) before the service starts."""
+    disk_reserve_mb: Annotated[int, Field(ge=0)] = 64
+    """SQLite: MiB of the disk held by a file in the data directory, to delete sessions with when the disk is full. 64
+    are enough for one of some 90,000 frames. 0: none."""
+    min_free_mb: Annotated[int, Field(ge=0)] = 64
+    """SQLite: with less free on the disk of the data directory, in MiB, `/readyz` says so and answers 503."""
     reader_threads: Positive = 4
     """Threads that read the database."""
 

@@ -16,6 +16,8 @@ settings.register_profile("local", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
 
+# The disk holds some thousand data directories at once: none keeps room to delete with, unless a test is about that.
+os.environ.setdefault("SKYPOSE_DISK_RESERVE_MB", "0")
 
 # astropy, which tests compare with, is not to go to the network, and the data it has will do however old they get.
 iers.conf.auto_download = False

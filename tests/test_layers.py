@@ -17,6 +17,7 @@ ROOMS: dict[str, set[str]] = {
     "service.main": {"everything"},
     "service.__main__": {"everything"},
     "service.ears": {"access", "sessions", "store", "errors"},
+    "service.housekeeping": {"access", "api", "store", "workers", "errors"},
     "service.cli": {"everything"},
     "service.client": {"remote", "api"},
     "service.remote": {"api"},

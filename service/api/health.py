@@ -36,21 +36,24 @@ class Health(Wire):
 
     status: Literal["ok", "starting"]
     checks: dict[str, bool]
+    reasons: list[str]
+    """What is not as it must be, for people."""
 
 
 @router.get("/healthz", response_model=Health)
 async def healthz() -> dict[str, Any]:
     """The event loop turns."""
-    return {"status": "ok", "checks": {}}
+    return {"status": "ok", "checks": {}, "reasons": []}
 
 
 @router.get("/readyz", response_model=Health, responses={503: {"model": Health}})
 async def readyz(response: Response, services: ServicesDep) -> dict[str, Any]:
-    """Frames can be taken: the worker is up and the database answers."""
-    checks = await services.status.checks()
+    """Frames can be taken: the worker is up, the database takes writes, and its disk has room."""
+    found = await services.status.checks()
+    checks = {"worker": found.worker, "database": found.database}
     ready = all(checks.values())
     response.status_code = 200 if ready else 503
-    return {"status": "ok" if ready else "starting", "checks": checks}
+    return {"status": "ok" if ready else "starting", "checks": checks, "reasons": found.reasons}
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}, **problems()})

@@ -263,6 +263,8 @@ class Session(Wire):
     """Height, width, channels and bits that every frame must have."""
     created_at: str
     updated_at: str
+    ended_at: str | None = None
+    """It takes no more frames since then: nobody sent any for long (`SKYPOSE_END_IDLE_DAYS`)."""
     warnings: list[str]
     filter: dict[str, Any]
     likelihood: dict[str, Any]

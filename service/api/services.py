@@ -24,6 +24,7 @@ from service.sessions.batch import Batches
 from service.sessions.checkpoint import Checkpoints
 from service.sessions.hub import Hub
 from service.sessions.library import Library
+from service.sessions.pruning import Pruning
 from service.sessions.registry import Registry
 from service.sessions.status import Status
 from service.settings import Settings
@@ -37,6 +38,7 @@ class Services:
     metrics: Metrics
     hub: Hub
     registry: Registry
+    pruning: Pruning
     library: Library
     archive: Archive
     checkpoints: Checkpoints

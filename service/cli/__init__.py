@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from service.cli.backup import backup, restore
 from service.cli.bench import bench
 from service.cli.demo import demo
 from service.cli.doctor import doctor
@@ -16,6 +17,7 @@ from service.cli.serve import serve
 from service.cli.sessions import sessions
 from service.cli.simulate import simulate
 from service.cli.track import track
+from service.cli.verify import verify
 
 app = typer.Typer(name="skypose", no_args_is_help=True, pretty_exceptions_show_locals=False)
 app.command()(serve)
@@ -26,6 +28,9 @@ app.command()(doctor)
 app.command()(ingest)
 app.command()(export)
 app.command()(openapi)
+app.command()(verify)
+app.command()(backup)
+app.command()(restore)
 app.add_typer(bench)
 app.add_typer(keys)
 app.add_typer(model)

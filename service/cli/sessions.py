@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -33,12 +33,14 @@ def prune(
     key: Key = None,
 ) -> None:
     """Delete sessions that nobody has used for so long, with their whole history."""
-    since = datetime.now(UTC) - timedelta(days=days)
+    from service.store.rules import unused
+
+    now = datetime.now(UTC)
     with connected(url, key) as client:
         old = [
             one
             for one in client.sessions()
-            if datetime.fromisoformat(one.updated_at) < since and (one.name or "").startswith(name or "")
+            if unused(one.updated_at, days, now) and (one.name or "").startswith(name or "")
         ]
         for one in old:
             if yes:

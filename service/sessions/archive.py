@@ -172,6 +172,7 @@ def session_document(record: SessionRecord) -> dict[str, Any]:
         "background": record.background_info,
         "created_at": record.created_at,
         "updated_at": record.updated_at,
+        "ended_at": record.ended_at,
         "warnings": list(record.warnings),
         "light": asdict(LightParams()),  # of a session stored before there was a choice
         **record.config,

@@ -51,7 +51,7 @@ from service.workers.codec import decode, encode
 from service.workers.engine import Engine
 
 SESSION_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_NOT_CARRIED = ("id", "epoch", "number", "model_ids", "tenant", "model_id")
+_NOT_CARRIED = ("id", "epoch", "number", "model_ids", "tenant", "model_id", "ended_at")
 Bytes = NDArray[np.uint8]
 
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from itertools import islice
 from typing import Any, TypeVar
 
-from service.errors import FrameConflictError, FrameGapError, IdempotencyKeyError, InputError
+from service.errors import ConflictError, FrameConflictError, FrameGapError, IdempotencyKeyError, InputError
 from service.imaging.facts import FrameFacts
 from service.imaging.headers import sniffed
 from service.inference.params import SessionConfig
@@ -155,6 +155,16 @@ def learns_own_sky(config: SessionConfig, record: SessionRecord) -> bool:
 def own_sky_frames(frames: Iterable[T]) -> list[T]:
     """Those of a whole pass; no later one is looked at."""
     return [one for k, one in enumerate(islice(frames, OWN_SKY_FRAMES[-1] + 1)) if k in OWN_SKY_FRAMES]
+
+
+def require_going_on(record: SessionRecord) -> None:
+    """Raises ``ConflictError`` for a session that has ended."""
+    if record.ended_at is not None:
+        raise ConflictError(
+            f"the session ended at {record.ended_at}, unused for long; begin another",
+            ended_at=record.ended_at,
+            setting="SKYPOSE_END_IDLE_DAYS",
+        )
 
 
 def is_own_sky(record: SessionRecord) -> bool:

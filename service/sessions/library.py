@@ -113,7 +113,7 @@ class Library:
 
     async def remove(self, model_id: ModelKey) -> None:
         """Delete a model. Raises ``NotFoundError``, or ``ModelInUseError`` while a session needs it."""
-        await self._database.write(models.remove, model_id)
+        await self._database.free(models.remove, model_id)
 
     async def _blob(self, key: str) -> bytes:
         return await self._database.read(models.get_blob, key)

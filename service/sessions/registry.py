@@ -22,7 +22,7 @@ from service.sessions.library import articulation_of
 from service.sessions.ranging import Ranging
 from service.sessions.session import Rooms, Session
 from service.store import checkpoints, instances, models, sessions
-from service.store.base import NO_QUOTAS, Quotas, SessionRecord, StoredContender
+from service.store.base import NO_QUOTAS, Quotas, SessionRecord, SessionStamp, StoredContender
 from service.store.checkpoints import StoredSession
 from service.store.instances import Instance
 from service.store.scope import SessionKey, model_key, session_key
@@ -50,6 +50,11 @@ class Registry:
     def resident(self) -> Mapping[SessionKey, Session]:
         """Sessions in memory."""
         return self._resident
+
+    @property
+    def waiting_frames(self) -> int:
+        """Frames waiting or under way."""
+        return sum(owner.inbox.size for owner in self._resident.values())
 
     async def create(
         self, tenant: str, model_ids: Sequence[str], name: str | None, sections: Mapping[str, Any]
@@ -140,13 +145,13 @@ class Registry:
         else:
             owner.inbox.require_room()
 
-    async def remove(self, session_id: SessionKey) -> None:
-        """Delete a session with its history, and send its watchers home."""
+    async def remove(self, session_id: SessionKey, stamp: SessionStamp | None = None) -> None:
+        """Delete a session with its history, and send its watchers home; with ``stamp`` only while that is true."""
         async with self._lock(session_id):
             owner = self._resident.pop(session_id, None)
             if owner is not None:
                 await owner.inbox.close()
-            await self._rooms.database.write(sessions.remove, session_id)
+            await self._rooms.database.free(sessions.remove, session_id, stamp)
         self._rooms.hub.end(session_id, "deleted")
 
     async def take_in(self, given: StoredSession) -> bool:

@@ -33,6 +33,7 @@ from service.sessions.frame import (
     known_background,
     learns_own_sky,
     repeated,
+    require_going_on,
 )
 from service.sessions.hub import Hub
 from service.sessions.inbox import Inbox
@@ -122,6 +123,7 @@ class Session:
             document = await self._rooms.database.read(frames.estimate, record.id, index)
             self._rooms.metrics.duplicates.inc()
             return Answer(index, as_duplicate(document), duplicate=True)
+        require_going_on(record)
         if learns_own_sky(self._config, record):
             await self._learn(BackgroundIn(frame.body, frame.sha256, frame.media_type), own=True)
         if self.record.background_key is None:
@@ -261,6 +263,7 @@ class Session:
             known = await self._rooms.database.read(sessions.find_background, self.record.id, image.idempotency_key)
             if known is not None:
                 return known_background(image, *known)
+        require_going_on(self.record)
         return await self._learn(image, own=False)
 
     async def _learn(self, image: BackgroundIn, own: bool) -> BackgroundAnswer:

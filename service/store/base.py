@@ -45,8 +45,18 @@ class SessionRecord:
     background_frames: int = 0
     background_info: Mapping[str, Any] | None = None
     number: int = 0
+    ended_at: str | None = None  # it takes no more frames since
     model_ids: tuple[ModelKey, ...] = ()  # of a session that compares models, ``model_id`` the first; else none
     tenant: str = DEFAULT_TENANT
+
+
+@dataclass(frozen=True)
+class SessionStamp:
+    """When a session was last used, and when it ended."""
+
+    id: SessionKey
+    updated_at: str
+    ended_at: str | None
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from service.errors import ConflictError
 from service.store import models, sessions
 from service.store.base import NO_QUOTAS, ModelRecord, Quotas, SessionRecord, StoredContender
 from service.store.scope import SessionKey, public_id
+from service.store.seal import checked, record_values, sealed
 from service.store.signals import Signal, alone, send
 from service.store.tables import backgrounds, estimates, events, frames, particles
 from service.store.tables import sessions as sessions_table
@@ -95,10 +96,10 @@ def write(connection: Connection, given: StoredSession, quotas: Quotas = NO_QUOT
         (events, given.events),
     ):
         if rows:
-            connection.execute(insert(table), [{**row, "session_id": record.id} for row in rows])
+            connection.execute(insert(table), [sealed(table, {**row, "session_id": record.id}) for row in rows])
     if given.state is not None:
-        at = {"session_id": record.id, "idx": record.next_index - 1}
-        connection.execute(insert(particles).values(**at, state=given.state))
+        newest = {"session_id": record.id, "idx": record.next_index - 1, "state": given.state}
+        connection.execute(insert(particles), sealed(particles, newest))
     send(connection, Signal("replaced", record.id, record.next_seq - 1))
     return old is None
 
@@ -123,5 +124,5 @@ def _earlier(connection: Connection, given: StoredSession) -> SessionRecord | No
 
 def _rows(connection: Connection, table: Table, session_id: SessionKey) -> list[dict[str, Any]]:
     query = select(table).where(table.c.session_id == session_id).order_by(*table.primary_key.columns)
-    names = [str(name) for name in table.columns.keys() if name != "session_id"]  # noqa: SIM118 -- whose, the place tells
-    return [{name: row._mapping[name] for name in names} for row in connection.execute(query)]
+    rows = [record_values(checked(table, row)) for row in connection.execute(query)]
+    return [{name: row[name] for name in row if name != "session_id"} for row in rows]  # whose, the place tells

@@ -9,6 +9,7 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from json import JSONDecodeError
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
@@ -16,14 +17,15 @@ import structlog
 from sqlalchemy import Connection, Engine, inspect
 from sqlalchemy.exc import DBAPIError
 
-from service.errors import StorageError
+from service.errors import DamagedError, StorageError
+from service.store.disk import Room
 from service.store.signals import Signal
 
 log = structlog.get_logger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 
-NEWEST_REVISION = "0005"
+NEWEST_REVISION = "0006"
 
 
 class Database(ABC):
@@ -70,6 +72,18 @@ class Database(ABC):
 
         return await self._run(self._write_threads, lambda: self._transaction(work))
 
+    async def free(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """As ``write``, for what only deletes: SQLite does it on a full disk too."""
+
+        def work(connection: Connection) -> R:
+            return function(connection, *args, **kwargs)
+
+        return await self._run(self._write_threads, lambda: self._freeing(work))
+
+    async def room(self) -> Room:
+        """How large the database is, and how much of its disk is free. Raises ``StorageError``."""
+        return await self._run(self._write_threads, self._room)
+
     async def read(self, function: Callable[Concatenate[Connection, P], R], *args: P.args, **kwargs: P.kwargs) -> R:
         """Run ``function(connection, ...)`` in a reading thread, on one snapshot."""
 
@@ -96,6 +110,8 @@ class Database(ABC):
         except DBAPIError as error:
             log.error("database refused", error=str(error.orig))
             raise StorageError(f"the database refused: {error.orig}") from error
+        except JSONDecodeError as error:
+            raise DamagedError(f"a stored document cannot be read: {error}") from error
 
     @abstractmethod
     def _open(self, beside: bool) -> None:
@@ -104,6 +120,14 @@ class Database(ABC):
     @abstractmethod
     def _transaction(self, work: Callable[[Connection], R]) -> R:
         """See ``write``; in a writing thread."""
+
+    def _freeing(self, work: Callable[[Connection], R]) -> R:
+        """See ``free``; in a writing thread."""
+        return self._transaction(work)
+
+    @abstractmethod
+    def _room(self) -> Room:
+        """See ``room``; in a writing thread."""
 
     @abstractmethod
     def _snapshot(self, work: Callable[[Connection], R]) -> R:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from typing import Any
 
-from sqlalchemy import Connection, delete, insert, select
+from sqlalchemy import Connection, Table, delete, insert, select
 
 from service.errors import GoneError, NotFoundError
 from service.store import sessions as session_queries
 from service.store.base import FrameRecord, Retention, StoredBelief, StoredEvent, StoredFrame
 from service.store.scope import SessionKey
+from service.store.seal import CHECKSUM, checked, sealed
 from service.store.tables import beliefs, estimates, events, frame_bodies, frames, particles, sessions
 
 
@@ -31,19 +33,24 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
         time_given=record.time_given,
         updated_at=record.created_at,
     )
-    values = {name: getattr(record, name) for name in frames.columns.keys() if name != "idx"}  # noqa: SIM118
-    connection.execute(insert(frames).values(idx=record.index, **{**values, "query": dict(record.query)}))
     at = {"session_id": record.session_id, "idx": record.index}
+    names = set(map(str, frames.c.keys())) - {"idx", CHECKSUM}
+    values = {**at, **{name: getattr(record, name) for name in names}, "query": dict(record.query)}
+    _put(connection, frames, values)
     if retention.frame_bodies:
-        connection.execute(insert(frame_bodies).values(**at, body=record.body))
-    connection.execute(insert(estimates).values(**at, document=record.document))
-    connection.execute(insert(particles).values(**at, state=record.state))
+        _put(connection, frame_bodies, {**at, "body": record.body})
+    _put(connection, estimates, {**at, "document": record.document})
+    _put(connection, particles, {**at, "state": record.state})
     if record.belief is not None:
-        connection.execute(insert(beliefs).values(**at, belief=record.belief))
+        _put(connection, beliefs, {**at, "belief": record.belief})
     session_queries.put_contenders(connection, record.session_id, record.contenders)
-    connection.execute(insert(events).values(**at, seq=row.next_seq, kind="estimate"))
+    _put(connection, events, {**at, "seq": row.next_seq, "kind": "estimate"})
     _forget(connection, record.session_id, record.index, retention)
     return row.next_seq
+
+
+def _put(connection: Connection, table: Table, values: Mapping[str, Any]) -> None:
+    connection.execute(insert(table), sealed(table, values))
 
 
 def _forget(connection: Connection, session_id: SessionKey, newest: int, retention: Retention) -> None:
@@ -69,21 +76,22 @@ def find(
     def one(column: object, value: object) -> StoredFrame | None:
         if value is None:
             return None
-        query = select(frames.c.idx, frames.c.sha256, frames.c.idempotency_key)
-        row = connection.execute(query.where(frames.c.session_id == session_id, column == value)).first()  # type: ignore[arg-type]
-        return None if row is None else StoredFrame(row.idx, row.sha256, row.idempotency_key)
+        query = select(frames).where(frames.c.session_id == session_id, column == value)  # type: ignore[arg-type]
+        row = connection.execute(query).first()
+        return None if row is None else StoredFrame(checked(frames, row).idx, row.sha256, row.idempotency_key)
 
     return one(frames.c.idx, index), one(frames.c.idempotency_key, key)
 
 
 def estimate(connection: Connection, session_id: SessionKey, index: int | None) -> bytes:
     """The estimate at ``index`` (None: the newest), as stored. Raises ``NotFoundError``."""
-    query = select(estimates.c.document).where(estimates.c.session_id == session_id)
+    query = select(estimates).where(estimates.c.session_id == session_id)
     query = query.order_by(estimates.c.idx.desc()) if index is None else query.where(estimates.c.idx == index)
-    document: bytes | None = connection.execute(query.limit(1)).scalar()
-    if document is None:
+    row = connection.execute(query.limit(1)).first()
+    if row is None:
         session_queries.get(connection, session_id)
         raise NotFoundError("no estimate yet" if index is None else f"no estimate {index}", field="index")
+    document: bytes = checked(estimates, row).document
     return document
 
 
@@ -91,12 +99,12 @@ def estimate_page(connection: Connection, session_id: SessionKey, after: int, li
     """Index and document of estimates after index ``after``. Raises ``NotFoundError``: no such session."""
     session_queries.get(connection, session_id)
     query = (
-        select(estimates.c.idx, estimates.c.document)
+        select(estimates)
         .where(estimates.c.session_id == session_id, estimates.c.idx > after)
         .order_by(estimates.c.idx)
         .limit(limit)
     )
-    return [(row.idx, row.document) for row in connection.execute(query)]
+    return [(row.idx, checked(estimates, row).document) for row in connection.execute(query)]
 
 
 def belief_page(connection: Connection, session_id: SessionKey, first: int) -> list[StoredBelief]:
@@ -104,24 +112,30 @@ def belief_page(connection: Connection, session_id: SessionKey, first: int) -> l
     session_queries.get(connection, session_id)
     same = (beliefs.c.session_id == frames.c.session_id) & (beliefs.c.idx == frames.c.idx)
     query = (
-        select(frames.c.idx, frames.c.time_s, beliefs.c.belief)
+        select(frames, beliefs)
         .join(beliefs, same, isouter=True)
         .where(frames.c.session_id == session_id, frames.c.idx >= first)
         .order_by(frames.c.idx)
     )
-    return [StoredBelief(row.idx, row.time_s, row.belief) for row in connection.execute(query)]
+    found = []
+    for row in connection.execute(query):
+        if row.belief is not None:
+            checked(beliefs, row)
+        found.append(StoredBelief(row.idx, checked(frames, row).time_s, row.belief))
+    return found
 
 
 def event_page(connection: Connection, session_id: SessionKey, after: int, limit: int) -> list[StoredEvent]:
     """Events numbered after ``after``, with their estimates."""
     query = (
-        select(events.c.seq, estimates.c.document)
+        select(events, estimates)
         .join(estimates, (estimates.c.session_id == events.c.session_id) & (estimates.c.idx == events.c.idx))
         .where(events.c.session_id == session_id, events.c.seq > after)
         .order_by(events.c.seq)
         .limit(limit)
     )
-    return [StoredEvent(row.seq, row.document) for row in connection.execute(query)]
+    rows = [checked(estimates, checked(events, row)) for row in connection.execute(query)]
+    return [StoredEvent(row.seq, row.document) for row in rows]
 
 
 def last_seq(connection: Connection, session_id: SessionKey) -> int:
@@ -138,17 +152,17 @@ def last_seqs(connection: Connection, session_ids: Collection[SessionKey]) -> di
 def body(connection: Connection, session_id: SessionKey, index: int) -> tuple[bytes, str]:
     """File and media type of a frame. Raises ``NotFoundError``, ``GoneError`` where it is not kept."""
     at = (frames.c.session_id == session_id, frames.c.idx == index)
-    media_type: str | None = connection.execute(select(frames.c.media_type).where(*at)).scalar()
-    if media_type is None:
+    frame = connection.execute(select(frames).where(*at)).first()
+    if frame is None:
         session_queries.get(connection, session_id)
         raise NotFoundError(f"no frame {index}", field="index")
-    query = select(frame_bodies.c.body).where(frame_bodies.c.session_id == session_id, frame_bodies.c.idx == index)
-    data: bytes | None = connection.execute(query).scalar()
-    if data is None:
+    query = select(frame_bodies).where(frame_bodies.c.session_id == session_id, frame_bodies.c.idx == index)
+    row = connection.execute(query).first()
+    if row is None:
         raise GoneError(
             f"the file of frame {index} is no longer kept", field="index", setting="SKYPOSE_KEEP_FRAME_BODIES"
         )
-    return data, media_type
+    return checked(frame_bodies, row).body, checked(frames, frame).media_type
 
 
 def particle_set(connection: Connection, session_id: SessionKey, index: int | None) -> tuple[int, bytes]:

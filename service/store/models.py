@@ -10,6 +10,7 @@ from sqlalchemy import Connection, Row, delete, func, insert, or_, select
 from service.errors import ModelInUseError, NotFoundError, QuotaExceededError
 from service.store.base import NO_QUOTAS, ModelRecord, Quotas
 from service.store.scope import ModelKey, public_id
+from service.store.seal import checked, record_values, row_of, sealed
 from service.store.signals import alone
 from service.store.tables import blobs, contenders, models, sessions
 
@@ -22,8 +23,8 @@ def add(connection: Connection, record: ModelRecord, data: bytes, quotas: Quotas
         if quotas.models and count >= quotas.models:
             raise QuotaExceededError(f"{count} models are there", limit=quotas.models, setting="SKYPOSE_QUOTA_MODELS")
         put_blob(connection, record.blob_key, data)
-        values = {name: getattr(record, name) for name in models.columns.keys() if name != "number"}  # noqa: SIM118
-        connection.execute(insert(models).values({**values, "joints": _list(record.joints)}))
+        values = {**row_of(models, record), "joints": _list(record.joints)}
+        connection.execute(insert(models), sealed(models, values))
 
 
 def find(connection: Connection, model_id: ModelKey) -> ModelRecord | None:
@@ -65,14 +66,15 @@ def remove(connection: Connection, model_id: ModelKey) -> None:
 def put_blob(connection: Connection, key: str, data: bytes) -> None:
     """Store bytes under their content's key, unless they are there. For transactions that are ``alone``."""
     if connection.execute(select(blobs.c.key).where(blobs.c.key == key)).first() is None:
-        connection.execute(insert(blobs).values(key=key, data=data))
+        connection.execute(insert(blobs), sealed(blobs, {"key": key, "data": data}))
 
 
 def get_blob(connection: Connection, key: str) -> bytes:
     """The bytes under a key. Raises ``NotFoundError``."""
-    data: bytes | None = connection.execute(select(blobs.c.data).where(blobs.c.key == key)).scalar()
-    if data is None:
+    row = connection.execute(select(blobs).where(blobs.c.key == key)).first()
+    if row is None:
         raise NotFoundError(f"no blob {key}")
+    data: bytes = checked(blobs, row).data
     return data
 
 
@@ -88,7 +90,7 @@ def drop_blob_if_unused(connection: Connection, key: str | None) -> None:
 
 
 def _record(row: Row[Any]) -> ModelRecord:
-    values = dict(row._mapping)
+    values = record_values(checked(models, row))
     joints = values["joints"]
     return ModelRecord(**{**values, "joints": None if joints is None else tuple(joints)})
 

@@ -18,6 +18,7 @@ from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, OperationalErro
 
 from service.errors import ConfigError, InputError, StorageError
 from service.store.database import Database, migrate
+from service.store.disk import Room
 from service.store.listener import Listener
 from service.store.signals import SENDER, Heard, Signal
 from service.store.teller import Teller
@@ -114,6 +115,10 @@ class PostgresDatabase(Database):
                 if not _is_lost(error) or not pauses.pause():
                     raise
 
+    def _room(self) -> Room:
+        query = text("SELECT pg_database_size(current_database())")
+        return Room(int(self._snapshot(lambda connection: connection.execute(query).scalar_one())))
+
     def _close(self) -> None:
         self._ending.set()
         for thread in (self._teller, self._listener):
@@ -151,6 +156,12 @@ class PostgresDatabase(Database):
                 "tcp_user_timeout": wait_ms,
             },
         )
+
+
+def looking(url: str) -> Engine:
+    """An engine that only reads; nothing is migrated. Raises ``ConfigError`` for a URL that cannot be one."""
+    engine = create_engine(_checked(url), pool_size=1, max_overflow=0)
+    return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
 
 
 class _Pauses:

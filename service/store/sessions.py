@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select, update
 
-from service.errors import NotFoundError, QuotaExceededError, StaleOwnerError
+from service.errors import DamagedError, NotFoundError, QuotaExceededError, StaleOwnerError
 from service.store import instances, models
-from service.store.base import NO_QUOTAS, BackgroundRecord, Quotas, SessionRecord, StoredContender
+from service.store.base import NO_QUOTAS, BackgroundRecord, Quotas, SessionRecord, SessionStamp, StoredContender
 from service.store.instances import Instance
 from service.store.scope import SessionKey, public_id
+from service.store.seal import checked, record_values, row_of, sealed
 from service.store.signals import Signal, alone, send
-from service.store.tables import backgrounds, contenders, particles, sessions
+from service.store.tables import backgrounds, contenders, frames, particles, sessions
 
 
 def add(connection: Connection, record: SessionRecord, quotas: Quotas = NO_QUOTAS) -> None:
@@ -22,8 +23,8 @@ def add(connection: Connection, record: SessionRecord, quotas: Quotas = NO_QUOTA
     alone(connection)
     models.get(connection, record.model_id)
     _require_room(connection, record, quotas)
-    values = {name: getattr(record, name) for name in sessions.columns.keys() if name != "number"}  # noqa: SIM118
-    connection.execute(insert(sessions).values({**values, "warnings": list(record.warnings)}))
+    values = {**row_of(sessions, record), "warnings": list(record.warnings)}
+    connection.execute(insert(sessions), sealed(sessions, values))
     for model_id in record.model_ids:
         models.get(connection, model_id)
     put_contenders(connection, record.id, [StoredContender(model_id, None, 0.0) for model_id in record.model_ids])
@@ -47,7 +48,7 @@ def get(connection: Connection, session_id: SessionKey, *, hold: bool = False) -
     query = select(sessions).where(sessions.c.id == session_id)
     row = connection.execute(query.with_for_update() if hold else query).first()
     if row is None:
-        raise NotFoundError(f"no session {public_id(session_id)}", field="session_id")
+        raise unknown(session_id)
     return _with_models(connection, _record(row))
 
 
@@ -75,6 +76,7 @@ def claim(
     if its lease lasts; ``gone`` names one that is to be taken for dead.
     """
     record = get(connection, session_id, hold=True)
+    _require_whole(connection, record)
     if me is not None:
         owner = instances.owner(connection, session_id)
         if owner is not None and owner.id not in (me, gone):
@@ -85,10 +87,23 @@ def claim(
     return record, state(connection, session_id, record.next_index - 1)
 
 
+def _require_whole(connection: Connection, record: SessionRecord) -> None:
+    """Raises ``DamagedError`` where the session's count and time, which no checksum holds, are not its last frame's."""
+    query = select(frames.c.idx, frames.c.time_s).where(frames.c.session_id == record.id)
+    last = connection.execute(query.order_by(frames.c.idx.desc()).limit(1)).first()
+    if (record.next_index - 1, record.time_s) != ((-1, record.time_s) if last is None else tuple(last)):
+        raise DamagedError(f"session {public_id(record.id)} and its frames do not fit together")
+
+
 def require_owner(connection: Connection, session_id: SessionKey, epoch: int) -> None:
     """Raises ``StaleOwnerError`` unless this is the epoch of the present owner."""
     if connection.execute(select(sessions.c.epoch).where(sessions.c.id == session_id)).scalar() != epoch:
         raise stale(session_id)
+
+
+def unknown(session_id: SessionKey) -> NotFoundError:
+    """The error of a session that is not there."""
+    return NotFoundError(f"no session {public_id(session_id)}", field="session_id")
 
 
 def stale(session_id: SessionKey) -> StaleOwnerError:
@@ -98,15 +113,16 @@ def stale(session_id: SessionKey) -> StaleOwnerError:
 
 def state(connection: Connection, session_id: SessionKey, index: int) -> bytes | None:
     """The packed state after frame ``index``, or None where none is kept."""
-    query = select(particles.c.state).where(particles.c.session_id == session_id, particles.c.idx == index)
-    data: bytes | None = connection.execute(query).scalar()
-    return data
+    query = select(particles).where(particles.c.session_id == session_id, particles.c.idx == index)
+    row = connection.execute(query).first()
+    return None if row is None else checked(particles, row).state
 
 
 def compared(connection: Connection, session_id: SessionKey) -> list[StoredContender]:
     """The models that a session compares, in its order; none for a plain session."""
     query = select(contenders).where(contenders.c.session_id == session_id).order_by(contenders.c.ordinal)
-    return [StoredContender(row.model_id, row.state, row.log_evidence) for row in connection.execute(query)]
+    rows = [checked(contenders, row) for row in connection.execute(query)]
+    return [StoredContender(row.model_id, row.state, row.log_evidence) for row in rows]
 
 
 def put_contenders(connection: Connection, session_id: SessionKey, given: Sequence[StoredContender]) -> None:
@@ -115,15 +131,38 @@ def put_contenders(connection: Connection, session_id: SessionKey, given: Sequen
         connection.execute(delete(contenders).where(contenders.c.session_id == session_id))
     for ordinal, one in enumerate(given):
         values = {"model_id": one.model_id, "state": one.state, "log_evidence": one.log_evidence}
-        connection.execute(insert(contenders).values(session_id=session_id, ordinal=ordinal, **values))
+        row = sealed(contenders, {"session_id": session_id, "ordinal": ordinal, **values})
+        connection.execute(insert(contenders), row)
 
 
-def remove(connection: Connection, session_id: SessionKey) -> None:
-    """Delete a session with all its history. Raises ``NotFoundError``."""
+def stamps(connection: Connection) -> list[SessionStamp]:
+    """When each session, of any tenant, was last used and ended."""
+    query = select(sessions.c.id, sessions.c.updated_at, sessions.c.ended_at).order_by(sessions.c.number)
+    return [SessionStamp(row.id, row.updated_at, row.ended_at) for row in connection.execute(query)]
+
+
+def end(connection: Connection, stamp: SessionStamp, now: str) -> bool:
+    """End a session, unless it was used since or has ended. Its owner can write no more. Returns whether it did."""
+    values = {"ended_at": now, "epoch": sessions.c.epoch + 1}
+    return connection.execute(update(sessions).where(*_unchanged(stamp)).values(values)).rowcount == 1
+
+
+def _unchanged(stamp: SessionStamp) -> tuple[ColumnElement[bool], ...]:
+    since = (sessions.c.updated_at == stamp.updated_at, sessions.c.ended_at.is_not_distinct_from(stamp.ended_at))
+    return sessions.c.id == stamp.id, *since
+
+
+def remove(connection: Connection, session_id: SessionKey, stamp: SessionStamp | None = None) -> None:
+    """Delete a session with all its history; with ``stamp`` only while that is true. Raises ``NotFoundError``."""
     alone(connection)
-    record = get(connection, session_id, hold=True)
+    query = select(sessions.c.background_key).where(sessions.c.id == session_id).with_for_update()
+    if stamp is not None:
+        query = query.where(*_unchanged(stamp))
+    row = connection.execute(query).first()  # not ``get``: what is damaged can be deleted
+    if row is None:
+        raise unknown(session_id)
     connection.execute(delete(sessions).where(sessions.c.id == session_id))
-    models.drop_blob_if_unused(connection, record.background_key)
+    models.drop_blob_if_unused(connection, row.background_key)
     send(connection, Signal("deleted", session_id))
 
 
@@ -136,11 +175,11 @@ def advance(connection: Connection, session_id: SessionKey, epoch: int, **values
 
 def find_background(connection: Connection, session_id: SessionKey, idempotency_key: str) -> tuple[str, int] | None:
     """SHA-256 and frame count of the background call that used this key, or None."""
-    query = select(backgrounds.c.sha256, backgrounds.c.frames).where(
+    query = select(backgrounds).where(
         backgrounds.c.session_id == session_id, backgrounds.c.idempotency_key == idempotency_key
     )
     row = connection.execute(query).first()
-    return None if row is None else (row.sha256, row.frames)
+    return None if row is None else (checked(backgrounds, row).sha256, row.frames)
 
 
 def set_background(connection: Connection, record: BackgroundRecord) -> None:
@@ -159,21 +198,20 @@ def set_background(connection: Connection, record: BackgroundRecord) -> None:
     )
     if old != record.key:
         models.drop_blob_if_unused(connection, old)
-    ordinal = select(func.count()).where(backgrounds.c.session_id == record.session_id).scalar_subquery()
-    connection.execute(
-        insert(backgrounds).values(
-            session_id=record.session_id,
-            ordinal=ordinal,
-            sha256=record.sha256,
-            idempotency_key=record.idempotency_key,
-            frames=record.frames,
-            created_at=record.created_at,
-        )
-    )
+    count = select(func.count()).where(backgrounds.c.session_id == record.session_id)
+    values = {
+        "session_id": record.session_id,
+        "ordinal": connection.execute(count).scalar_one(),
+        "sha256": record.sha256,
+        "idempotency_key": record.idempotency_key,
+        "frames": record.frames,
+        "created_at": record.created_at,
+    }
+    connection.execute(insert(backgrounds), sealed(backgrounds, values))
 
 
 def _record(row: Row[Any]) -> SessionRecord:
-    values = dict(row._mapping)
+    values = record_values(checked(sessions, row))
     return SessionRecord(**{**values, "warnings": tuple(values["warnings"])})
 
 

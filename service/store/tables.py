@@ -29,6 +29,15 @@ Number = BigInteger().with_variant(Integer(), "sqlite")
 """Up to 2**63: what counts, and what a client may name. SQLite's INTEGER is as wide, and only it can count up."""
 
 
+CHANGES = {"changes": True}
+"""Marks columns that are not under the row's checksum (``seal``): they change, or the database gives them."""
+
+
+def _checksum() -> Column[str]:
+    """None in rows of releases before there were checksums."""
+    return Column("checksum", String)
+
+
 def _of_session() -> Column[str]:
     return Column("session_id", String, ForeignKey("sessions.id", ondelete="CASCADE"), primary_key=True, nullable=False)
 
@@ -38,12 +47,13 @@ blobs = Table(
     metadata,
     Column("key", String, primary_key=True),
     Column("data", LargeBinary, nullable=False),
+    _checksum(),
 )
 
 models = Table(
     "models",
     metadata,
-    Column("number", Number, primary_key=True, autoincrement=True),
+    Column("number", Number, primary_key=True, autoincrement=True, info=CHANGES),
     Column("id", String, nullable=False, unique=True),
     Column("name", String, nullable=False),
     Column("file_type", String, nullable=False),
@@ -52,6 +62,7 @@ models = Table(
     Column("report", JSON, nullable=False),
     Column("created_at", String, nullable=False),
     Column("tenant", String, nullable=False, server_default="default"),
+    _checksum(),
     Index("ix_models_tenant_number", "tenant", "number"),
     sqlite_autoincrement=True,
 )
@@ -59,24 +70,26 @@ models = Table(
 sessions = Table(
     "sessions",
     metadata,
-    Column("number", Number, primary_key=True, autoincrement=True),
+    Column("number", Number, primary_key=True, autoincrement=True, info=CHANGES),
     Column("id", String, nullable=False, unique=True),
     Column("model_id", String, ForeignKey("models.id"), nullable=False),
     Column("name", String),
     Column("config", JSON, nullable=False),
     Column("warnings", JSON, nullable=False),
     Column("created_at", String, nullable=False),
-    Column("updated_at", String, nullable=False),
-    Column("epoch", Number, nullable=False),
-    Column("next_index", Number, nullable=False),
-    Column("next_seq", Number, nullable=False),
-    Column("status", String),
-    Column("time_s", Float),
-    Column("time_given", String),
-    Column("background_key", String, ForeignKey("blobs.key")),
-    Column("background_frames", Integer, nullable=False),
-    Column("background_info", JSON),
+    Column("updated_at", String, nullable=False, info=CHANGES),
+    Column("epoch", Number, nullable=False, info=CHANGES),
+    Column("next_index", Number, nullable=False, info=CHANGES),
+    Column("next_seq", Number, nullable=False, info=CHANGES),
+    Column("status", String, info=CHANGES),
+    Column("time_s", Float, info=CHANGES),
+    Column("time_given", String, info=CHANGES),
+    Column("background_key", String, ForeignKey("blobs.key"), info=CHANGES),
+    Column("background_frames", Integer, nullable=False, info=CHANGES),
+    Column("background_info", JSON, info=CHANGES),
     Column("tenant", String, nullable=False, server_default="default"),
+    Column("ended_at", String, info=CHANGES),
+    _checksum(),
     Index("ix_sessions_tenant_number", "tenant", "number"),
     sqlite_autoincrement=True,
 )
@@ -90,6 +103,7 @@ backgrounds = Table(
     Column("idempotency_key", String),
     Column("frames", Integer, nullable=False),
     Column("created_at", String, nullable=False),
+    _checksum(),
     UniqueConstraint("session_id", "idempotency_key"),
 )
 
@@ -106,6 +120,7 @@ frames = Table(
     Column("query", JSON, nullable=False),
     Column("created_at", String, nullable=False),
     Column("epoch", Number, nullable=False),
+    _checksum(),
     UniqueConstraint("session_id", "idempotency_key"),
 )
 
@@ -115,6 +130,7 @@ frame_bodies = Table(
     _of_session(),
     Column("idx", Number, primary_key=True, autoincrement=False),
     Column("body", LargeBinary, nullable=False),
+    _checksum(),
 )
 
 estimates = Table(
@@ -123,6 +139,7 @@ estimates = Table(
     _of_session(),
     Column("idx", Number, primary_key=True, autoincrement=False),
     Column("document", LargeBinary, nullable=False),
+    _checksum(),
 )
 
 particles = Table(
@@ -131,6 +148,7 @@ particles = Table(
     _of_session(),
     Column("idx", Number, primary_key=True, autoincrement=False),
     Column("state", LargeBinary, nullable=False),
+    _checksum(),
 )
 
 beliefs = Table(
@@ -139,6 +157,7 @@ beliefs = Table(
     _of_session(),
     Column("idx", Number, primary_key=True, autoincrement=False),
     Column("belief", LargeBinary, nullable=False),
+    _checksum(),
 )
 
 contenders = Table(
@@ -149,6 +168,7 @@ contenders = Table(
     Column("model_id", String, ForeignKey("models.id"), nullable=False),
     Column("state", LargeBinary),
     Column("log_evidence", Float, nullable=False),
+    _checksum(),
 )
 
 events = Table(
@@ -158,6 +178,7 @@ events = Table(
     Column("seq", Number, primary_key=True, autoincrement=False),
     Column("kind", String, nullable=False),
     Column("idx", Number, nullable=False),
+    _checksum(),
 )
 
 api_keys = Table(
@@ -230,3 +251,11 @@ cluster = Table(
     Column("secret", String, nullable=False),
 )
 """One row: what the processes sign the calls with that they hand on to each other."""
+
+probes = Table(
+    "probes",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("count", Number, nullable=False),
+)
+"""One row, written to learn whether the database takes writes."""

@@ -64,7 +64,7 @@ def test_label_values_are_ones_that_the_service_gives(root):
     assert types <= {kind.slug for kind in every_error()}
     stages = set("|".join(re.findall(r'stage=~?"([^"]+)"', text)).split("|"))
     assert stages <= {"wait", "decode", "measure", "score", "total", "commit"}
-    assert set(re.findall(r'\{status="([^"]+)"', text)) <= {"acquiring", "tracking", "lost", "no_target"}
+    assert set(re.findall(r'\{status="([^"]+)"', text)) <= {"acquiring", "tracking", "lost", "no_target", "503"}
 
 
 def test_panels_have_places_of_their_own_and_the_provisioned_source(root):

@@ -194,13 +194,13 @@ async def test_reads_go_on_beside_a_long_write(database):
     loop = asyncio.get_running_loop()
 
     def slow(connection):
-        connection.execute(text("UPDATE sessions SET name = 'new'"))
+        connection.execute(text("UPDATE sessions SET status = 'new'"))
         loop.call_soon_threadsafe(started.set)
         asyncio.run_coroutine_threadsafe(go_on.wait(), loop).result()
 
     writing = asyncio.create_task(database.write(slow))
     await started.wait()
-    assert (await database.read(sessions.get, "s")).name is None
+    assert (await database.read(sessions.get, "s")).status is None
     go_on.set()
     await writing
-    assert (await database.read(sessions.get, "s")).name == "new"
+    assert (await database.read(sessions.get, "s")).status == "new"

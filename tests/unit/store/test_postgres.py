@@ -70,23 +70,23 @@ def end_other_connections(connection) -> None:
     connection.execute(text(f"SELECT pg_terminate_backend(pid, 5000) {others}"))
 
 
-async def name_of(database: PostgresDatabase) -> str | None:
-    return (await database.read(sessions.get, "s")).name
+async def status_of(database: PostgresDatabase) -> str | None:
+    return (await database.read(sessions.get, "s")).status
 
 
 async def test_a_connection_lost_before_the_commit_is_tried_again(database):
     await begin(database)
     tries = []
 
-    def rename(connection):
-        connection.execute(text("UPDATE sessions SET name = coalesce(name, '') || 'x'"))
+    def note(connection):
+        connection.execute(text("UPDATE sessions SET status = coalesce(status, '') || 'x'"))
         tries.append(1)
         if len(tries) == 1:
             end_own_connection(connection)
         connection.execute(text("SELECT 1"))
 
-    await database.write(rename)
-    assert (await name_of(database), len(tries)) == ("x", 2)
+    await database.write(note)
+    assert (await status_of(database), len(tries)) == ("x", 2)
 
 
 async def test_a_lost_commit_is_an_error_that_says_so(database):
@@ -100,8 +100,8 @@ async def test_a_lost_commit_is_an_error_that_says_so(database):
 
     event.listen(database.writer, "commit", lose)
     with pytest.raises(StorageError, match="not known"):
-        await database.write(lambda connection: connection.execute(text("UPDATE sessions SET name = 'new'")) and None)
-    assert await name_of(database) is None
+        await database.write(lambda connection: connection.execute(text("UPDATE sessions SET status = 'new'")) and None)
+    assert await status_of(database) is None
 
 
 async def test_a_deadlock_is_tried_again(database):
@@ -109,15 +109,15 @@ async def test_a_deadlock_is_tried_again(database):
     await database.write(sessions.add, session("r"))
     meeting, tries = threading.Barrier(2), []
 
-    def rename(connection, first, second):
+    def note(connection, first, second):
         tries.append(first)
-        connection.execute(text("UPDATE sessions SET name = 'new' WHERE id = :s"), {"s": first})
+        connection.execute(text("UPDATE sessions SET status = 'new' WHERE id = :s"), {"s": first})
         if tries.count(first) == 1:
             meeting.wait(30)  # now each has what the other wants
-        connection.execute(text("UPDATE sessions SET name = 'new' WHERE id = :s"), {"s": second})
+        connection.execute(text("UPDATE sessions SET status = 'new' WHERE id = :s"), {"s": second})
 
-    await asyncio.gather(database.write(rename, "s", "r"), database.write(rename, "r", "s"))
-    assert (await name_of(database), len(tries)) == ("new", 3)
+    await asyncio.gather(database.write(note, "s", "r"), database.write(note, "r", "s"))
+    assert (await status_of(database), len(tries)) == ("new", 3)
 
 
 async def test_quotas_hold_when_many_ask_at_once(database):

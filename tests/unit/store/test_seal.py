@@ -1,0 +1,83 @@
+"""One changed digit, wherever it is stored, is told when it is read, and never served."""
+
+import pytest
+from sqlalchemy import text
+from test_database import KEEP, begin, frame
+
+from service.errors import DamagedError
+from service.store import checkpoints, frames, models, sessions
+from service.store.base import BackgroundRecord, FrameRecord, StoredContender
+from service.store.sqlite import SqliteDatabase
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+async def database(tmp_path, anyio_backend):
+    database = SqliteDatabase(tmp_path, 1)
+    await database.open()
+    await begin(database)
+    await database.write(sessions.set_background, BackgroundRecord("s", 1, "h", "b", "sky", b"sky 1", 1, {}, "t"))
+    for index in range(3):
+        record = FrameRecord(**{**vars(frame(index, key=f"k{index}")), "belief": b"belief%d" % index})
+        await database.write(frames.append, record, KEEP)
+    yield database
+    await database.close()
+
+
+READS = {
+    "models.name = 'N'": (models.get, "m"),
+    "models.report = '{\"faces\": 1}'": (models.page, "default", 0, 10),
+    "blobs.data = x'00'": (models.get_blob, "sky"),
+    "sessions.config = '{\"seed\": 1}'": (sessions.get, "s"),
+    "sessions.config = '{'": (sessions.claim, "s"),
+    "sessions.name = 'other'": (sessions.page, "default", 0, 10),
+    "backgrounds.sha256 = 'x'": (sessions.find_background, "s", "b"),
+    "frames.sha256 = 'h1'": (frames.find, "s"),
+    "frames.media_type = 'image/jpeg'": (frames.body, "s", 2),
+    "frames.time_s = time_s + 1e-9": (frames.belief_page, "s", 0),
+    "frame_bodies.body = x'00'": (frames.body, "s", 2),
+    "estimates.document = x'7b7d'": (frames.estimate, "s", None),
+    "estimates.document = replace(document, '1', '2')": (frames.estimate_page, "s", -1, 10),
+    "particles.state = x'00'": (frames.particle_set, "s", None),
+    "beliefs.belief = x'00'": (frames.belief_page, "s", 0),
+    "events.idx = (idx + 1) % 3": (frames.event_page, "s", 0, 10),
+    "sessions.next_index = 2": (sessions.claim, "s"),
+    "sessions.time_s = time_s + 1": (sessions.claim, "s"),
+}
+
+
+async def test_what_was_changed_is_not_served(database):
+    for change, (read, *given) in READS.items():
+        keywords = {"index": 2, "key": None} if read is frames.find else {}
+        table, _, assignment = change.partition(".")
+
+        def spoil(connection, read=read, given=given, keywords=keywords, update=f"UPDATE {table} SET {assignment}"):
+            read(connection, *given, **keywords)
+            connection.execute(text(update))
+            read(connection, *given, **keywords)
+            raise AssertionError(f"served after {update}")
+
+        with pytest.raises(DamagedError, match=r"not as it was stored|cannot be read|do not fit"):
+            await database.write(spoil)
+
+
+async def test_an_estimate_in_the_place_of_another_is_not_served(database):
+    await database.write(lambda c: c.execute(text("DELETE FROM estimates WHERE idx = 1")) and None)
+    await database.write(lambda c: c.execute(text("UPDATE estimates SET idx = 1 WHERE idx = 0")) and None)
+    with pytest.raises(DamagedError, match="session_id s, idx 1"):
+        await database.read(frames.estimate, "s", 1)
+
+
+async def test_a_compared_model_is_sealed_and_a_checkpoint_of_damaged_rows_is_none(database):
+    await database.write(sessions.put_contenders, "s", [StoredContender("m", b"state", -1.5)])
+    assert (await database.read(checkpoints.read, "s")).compared[0].contender.log_evidence == -1.5
+    await database.write(lambda c: c.execute(text("UPDATE contenders SET log_evidence = -1.25")) and None)
+    with pytest.raises(DamagedError, match="contenders"):
+        await database.read(checkpoints.read, "s")
+
+
+async def test_what_is_damaged_can_be_deleted(database):
+    await database.write(lambda c: c.execute(text("UPDATE sessions SET config = '[]'")) and None)
+    await database.write(sessions.remove, "s")
+    assert await database.read(sessions.page, "default", 0, 10) == []
