@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api import schemas
 from service.api.auth import ReadSession
+from service.api.description import bytes_answered
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.exports.formats import FORMATS
@@ -74,7 +75,7 @@ async def read_estimate(session: ReadSession, index: Index, services: ServicesDe
 @router.get(
     "/estimates/{index}/overlay.png",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **problems(404, 410, 422, 503)},
+    responses={**bytes_answered("image/png"), **problems(404, 410, 422, 503)},
 )
 async def read_overlay(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame with the best silhouette in blue (the paper's Table 1)."""
@@ -85,7 +86,7 @@ async def read_overlay(session: ReadSession, index: Index, services: ServicesDep
 @router.get(
     "/estimates/{index}/frame.png",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **problems(404, 410, 422, 503)},
+    responses={**bytes_answered("image/png"), **problems(404, 410, 422, 503)},
 )
 async def read_picture(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame alone, 8 bits, stretched where people would see nothing otherwise."""
@@ -96,7 +97,7 @@ async def read_picture(session: ReadSession, index: Index, services: ServicesDep
 @router.get(
     "/estimates/{index}/frame.fits",
     response_class=Response,
-    responses={200: {"content": {"image/fits": {}}}, **problems(404, 410, 422, 503)},
+    responses={**bytes_answered("image/fits"), **problems(404, 410, 422, 503)},
 )
 async def read_frame_fits(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame with its best pose in `POSE_*` cards: the file that was sent where that was FITS, else a new one."""
