@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import orjson
@@ -37,6 +37,8 @@ class ExportQuery(BaseModel):
     """By default the session's name, or else its id."""
     object_id: Annotated[str, Field(max_length=200)] = "UNKNOWN"
     """International designator, YYYY-NNNP."""
+    smoothed: bool = False
+    """With all later frames taken into account, as in the list of estimates."""
 
 
 @router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422, 503))
@@ -134,9 +136,8 @@ async def export(
 ) -> Response:
     """The attitude history as a file. `aem`, `apm`, `stk` and `czml` need frames with an absolute attitude."""
     kind = FORMATS[query.format]
-    body = await services.archive.export(
-        session, query.format, query.pose, name=query.object_name, object_id=query.object_id
-    )
+    names: dict[str, Any] = {"name": query.object_name, "object_id": query.object_id}
+    body = await services.archive.export(session, query.format, query.pose, **names, smoothed=query.smoothed)
     disposition = f'attachment; filename="{session_id}.{kind.suffix}"'
     return Response(body, media_type=kind.media_type, headers={"Content-Disposition": disposition})
 

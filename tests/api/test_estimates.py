@@ -74,7 +74,7 @@ async def test_csv_export(api):
     rows = list(csv.DictReader(io.StringIO(answer.text)))
     latest = (await api.http.get(f"/v1/sessions/{session_id}/estimates/latest")).json()
     assert float(rows[2]["qw"]) == latest["best"]["orientation"]["w"]
-    assert float(rows[2]["joint:panel"]) == latest["best"]["joints"]["panel"]
+    assert float(rows[2]["joint:panel_deg"]) == latest["best"]["joints"]["panel"]
     refused = await api.http.get(f"/v1/sessions/{session_id}/export?format=xls")
     assert (refused.status_code, refused.json()["field"]) == (422, "query:format")
     needs_attitude = await api.http.get(f"/v1/sessions/{session_id}/export?format=stk")
