@@ -116,7 +116,7 @@ class FakeWorker:
         if job.state is None:
             return report
         state = unpack(FilterState, job.state)
-        check_state(state, job.n_joints, 1)
+        check_state(state, job.n_joints)
         return replace(report, frame_index=state.frame_index, time_s=state.time_s, status=state.status)
 
     def smooth(self, job: SmoothJob) -> SmoothReport:

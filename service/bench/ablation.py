@@ -1,10 +1,13 @@
-"""Each choice of the default preset switched off, one at a time, as far as a session's parameters can."""
+"""Each part of the default filter left out, one at a time: by a session's parameters, or by its prior."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
+
+from service.inference.model import prior
 
 
 class VariantError(ValueError):
@@ -13,53 +16,49 @@ class VariantError(ValueError):
 
 @dataclass(frozen=True)
 class Variant:
-    """A change of the default session. ``sections`` are laid over it; ``twins`` False hides the symmetries."""
+    """A change of the default session. ``sections`` are laid over it; ``twins`` False hides the symmetries.
+
+    ``priors``: values that take the place of those in ``service.inference.model.prior``. A width of next to nothing
+    leaves its term out.
+    """
 
     name: str
     says: str
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     twins: bool = True
+    priors: Mapping[str, Any] = field(default_factory=dict)
 
 
-BY_OUTLINE: Mapping[str, Mapping[str, Any]] = {"filter": {"method": "importance"}}
-"""What is ablated: the outline's filter."""
-
+_NONE = 1e-4
 VARIANTS = (
-    Variant("default", "nothing switched off"),
-    Variant("psf", "point spread fixed at 0.3 px instead of estimated", {"camera": {"psf_sigma_px": 0.3}}),
-    Variant("contrast", "the paper's histogram map (Eq. 3)", {"likelihood": {"kind": "histogram"}}),
-    Variant(
-        "shadow",
-        "unlit parts cost as much as uncovered light",
-        {"likelihood": {"covered_empty_nats": 3.0, "uncovered_bright_nats": 3.0}},
-    ),
-    Variant("price", "unlit parts cost twice as much", {"likelihood": {"covered_empty_nats": 1.0}}),
-    Variant("edge", "light costs as much at its edge as inside", {"likelihood": {"edge_nats_per_px": 1e9}}),
-    Variant(
-        "shading",
-        "outlines alone, no light and shade inside of them",
-        {"likelihood": {"shading_nats": 0.0, "shading_power": 0.0}},
-    ),
-    Variant("alignment", "light and shade choose between basins, refine none", {"likelihood": {"shading_power": 0.0}}),
-    Variant("exponent", "every pixel independent: exponent 1", {"likelihood": {"exponent": 1.0, "misfit_nats": 1e9}}),
-    Variant("misfit", "one exponent whatever the fit: 0.027", {"likelihood": {"exponent": 0.027, "misfit_nats": 1e9}}),
-    Variant(
-        "modes", "one frame decides between far modes by more: power 0.13", {"likelihood": {"mode_exponent": 0.13}}
-    ),
+    Variant("default", "nothing left out"),
+    Variant("gloss", "matt surfaces alone", priors={"GLOSS_SHARE": 1e-6}),
+    Variant("hidden", "a body hides none of the sky's light", priors={"HIDDEN_MEAN": 0.0, "HIDDEN_SIGMA": _NONE}),
+    Variant("wings", "a Gaussian point spread", priors={"WINGS_SIGMA_PX": _NONE}),
+    Variant("air", "no speckle and no image shifts", priors={"HERMITE_SIGMA": _NONE, "SHIFT_SHARE": _NONE}),
+    Variant("edges", "no discrepancy of places", priors={"EDGE_PX": _NONE}),
+    Variant("paint", "nothing is learnt of albedo and gloss", priors={"PAINT_DRIFT": 1e3}),
+    Variant("memory", "frames err independently", priors={"MEMORY_KEPT": 1.0, "EVIDENCE_KEPT": 1.0}),
+    Variant("trust", "evidence decides between modes with all its nats", priors={"EVIDENCE_TRUST": 1.0}),
+    Variant("births", "no mode is born beside a track", priors={"BIRTH": 1e-12}),
+    Variant("psf", "point spread fixed at 0.3 px at first", {"camera": {"psf_sigma_px": 0.3}}),
     Variant("twins", "the filter is not told of the body's symmetries", twins=False),
-    Variant("velocity", "jitter instead of constant velocity", {"motion": {"kind": "jitter"}}),
-    Variant(
-        "tempering",
-        "resample, jitter, weigh (the paper's update) with the default map",
-        {"filter": {"method": "bootstrap"}, "motion": {"kind": "jitter", "rotation_deg": 6.0, "log_scale": 0.03}},
-    ),
-    Variant("starts", "a tenth of the starts when nothing is known", {"filter": {"acquisition_particles": 600}}),
-    Variant("particles", "a quarter of the particles", {"filter": {"particles": 250}}),
-    Variant("adaptive", "1,000 particles in every frame", {"filter": {"adaptive": "off"}}),
-    Variant("kld", "while tracking, as many particles as KLD-sampling asks for", {"filter": {"adaptive": "kld"}}),
-    Variant("resampler", "multinomial instead of systematic", {"filter": {"resampler": "multinomial"}}),
+    Variant("velocity", "jitter instead of rates", {"motion": {"kind": "jitter"}}),
     Variant("paper", "the published method", {"filter": {"preset": "paper", "method": "bootstrap"}}),
 )
+
+
+@contextmanager
+def altered(priors: Mapping[str, Any]) -> Iterator[None]:
+    """``service.inference.model.prior`` with other values for a while. One thread of one process only."""
+    before = {name: getattr(prior, name) for name in priors}
+    try:
+        for name, value in priors.items():
+            setattr(prior, name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(prior, name, value)
 
 
 def choose_variants(names: Sequence[str]) -> list[Variant]:

@@ -21,8 +21,8 @@ from rich.box import MARKDOWN
 from rich.table import Table
 
 from gpu.mesh import load_mesh
-from service.bench.step_bench import config_of
 from service.inference.params import JointParams, SessionConfig
+from service.sessions.config import effective
 from service.simulate.folder import encode_png
 from service.simulate.motion import Motion
 from service.simulate.satellite import demo_satellite
@@ -106,7 +106,7 @@ class Traffic:
 
     def job(self, session: int, index: int) -> FrameJob:
         """A frame of a session."""
-        config = config_of(self._plan.preset, self._plan.particles)
+        config = effective({"filter": {"preset": self._plan.preset, "particles": self._plan.particles}})
         config = replace(config, filter=replace(config.filter, seed=session), joints=JointParams(free="all"))
         model, background = self._blobs
         where = config, model, "glb", self._articulation, background, None, index, INTERVAL_S * index

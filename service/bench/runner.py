@@ -6,9 +6,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
+from service.bench.ablation import altered
 from service.bench.brightness import SkyLevel
 from service.bench.cases import Case
 from service.bench.scoring import FrameScore, Referee
@@ -36,6 +38,7 @@ class Entry:
     config: SessionConfig
     twins: bool = True
     says: str = ""
+    priors: Mapping[str, Any] = field(default_factory=dict)  # see ``ablation.Variant``
 
 
 @dataclass(frozen=True)
@@ -75,13 +78,14 @@ class BenchSession:
 
     def track(self, tracker: Tracker, index: int, time_s: float, body: bytes) -> FrameReport:
         """One frame as the service would run it."""
-        report = tracker.track(self._job(self.config, index, time_s, body))
+        with altered(self.entry.priors):
+            report = tracker.track(self._job(self.config, index, time_s, body))
         self.state, self.scorer = report.state, report.scorer
         return report
 
     def warm_up(self, tracker: Tracker, body: bytes) -> None:
         """Let the tracker prepare device and caches, on a frame whose answer is thrown away."""
-        few = replace(self.config.filter, particles=_WARM_PARTICLES, acquisition_particles=_WARM_PARTICLES)
+        few = replace(self.config.filter, particles=_WARM_PARTICLES)
         tracker.track(self._job(replace(self.config, filter=few), 0, 0.0, body))
 
     def _job(self, config: SessionConfig, index: int, time_s: float, body: bytes) -> FrameJob:

@@ -19,12 +19,11 @@ from service.bench.step_device import ResidentStep
 from service.bench.step_scene import INTERVAL_S, StepScene, step_scene
 from service.inference.params import (
     FilterParams,
-    LikelihoodParams,
     MotionParams,
     SessionConfig,
     preset_defaults,
 )
-from service.inference.state import FilterState, Frame, Measurement
+from service.inference.state import Frame, Measurement
 from service.inference.step import step
 from service.workers.resident import ResidentSteps
 from service.workers.scoring import TimedScorer
@@ -32,7 +31,6 @@ from service.workers.scoring import TimedScorer
 Where = Literal["host", "device"]
 
 COMPARED = ("outline", "opengl", "cpu-mt", "cpu")
-SETTLED_FRAMES = 3  # the default method finds the pose in the first and knows the rates after the third
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,6 @@ class StepContestant:
     name: str
     scorer: Contestant
     make: RunnerOf
-    warm_frames: int = 1
 
     @property
     def title(self) -> str:
@@ -101,22 +98,21 @@ class StepContestant:
 
 
 class SessionStep:
-    """``service.inference.step`` with a preset, as a session runs it: state in, state and estimate out."""
+    """``service.inference.step`` as a session of the preset `paper` runs it: state in, state and estimate out."""
 
-    def __init__(self, preset: str, where: Where, scorer: Scorer, scene: StepScene, particles: int, seed: int) -> None:
+    def __init__(self, where: Where, scorer: Scorer, scene: StepScene, particles: int, seed: int) -> None:
         self.device = scorer.name
         self._scorer, self._scene, self._seed = scorer, scene, seed
-        self._config = config_of(preset, particles, where)
+        self._config = config_of(particles, where)
         self._resident = ResidentSteps(1).of(scorer, self._config, scene.domain)
-        self._state: FilterState | None = None
-        if self._config.filter.method == "bootstrap":  # from the whole prior it would take long to find the pose
-            self._state = scene.near_truth(np.random.default_rng(seed), particles, self._config)
+        # From the whole prior it would take long to find the pose.
+        self._state = scene.near_truth(np.random.default_rng(seed), particles, self._config)
 
     def run(self, frame: int) -> float:
         """See ``StepRunner``."""
         rng = np.random.Generator(np.random.Philox(key=np.array([self._seed, frame], np.uint64)))
         seen = Frame(frame, frame * INTERVAL_S, Measurement(self._scene.log_ratio, 0.0))
-        timed = TimedScorer(self._scorer, self._scene.articulation)
+        timed = TimedScorer(self._scorer, self._scene.articulation, self._scene.log_ratio)
         self._state, _ = step(rng, self._state, seen, timed, self._config, self._scene.domain, bootstrap=self._resident)
         return timed.seconds if self._resident is None else self._resident.seconds
 
@@ -128,29 +124,27 @@ def step_contestants(backends: Sequence[str] = ()) -> list[StepContestant]:
     """
     offered = contestants(backends or [name for name in COMPARED if name in BACKENDS])
     return [
-        StepContestant(name, scorer, make, warm)
+        StepContestant(name, scorer, make)
         for scorer in offered
-        for name, make, warm in (
-            ("paper, host", partial(SessionStep, "paper", "host"), 1),
-            ("paper, device", partial(SessionStep, "paper", "device"), 1),
-            ("paper, resident", _resident, 1),
-            ("balanced, host", partial(SessionStep, "balanced", "host"), SETTLED_FRAMES),
+        for name, make in (
+            ("paper, host", partial(SessionStep, "host")),
+            ("paper, device", partial(SessionStep, "device")),
+            ("paper, resident", _resident),
         )
         if backends or scorer.name == COMPARED[0] or name == "paper, host"
     ]
 
 
 def _resident(scorer: Scorer, scene: StepScene, particles: int, seed: int) -> StepRunner:
-    return ResidentStep(config_of("paper", particles, "device"), scorer, scene, particles, seed)
+    return ResidentStep(config_of(particles, "device"), scorer, scene, particles, seed)
 
 
-def config_of(preset: str, particles: int, where: Where = "host") -> SessionConfig:
-    """A session's configuration with this preset and number of particles."""
-    given = preset_defaults(preset)
+def config_of(particles: int, where: Where = "host") -> SessionConfig:
+    """The preset `paper` with so many particles."""
+    given = preset_defaults("paper")
     return SessionConfig(
-        filter=FilterParams(**{**given.get("filter", {}), "particles": particles, "step": where}),
-        likelihood=LikelihoodParams(**given.get("likelihood", {})),
-        motion=MotionParams(**given.get("motion", {})),
+        filter=FilterParams(**{**given["filter"], "particles": particles, "step": where}),
+        motion=MotionParams(**given["motion"]),
     )
 
 
@@ -208,14 +202,13 @@ def _measure(
     for entry in entries:
         with told_absent(figures.absent, entry.title):
             runners[entry.title] = entry.make(opened[entry.scorer.name], scene, particles, plan.seed)
-            for frame in range(entry.warm_frames):
-                runners[entry.title].run(1 + frame)
+            runners[entry.title].run(1)
     times: dict[str, list[tuple[float, float]]] = {title: [] for title in runners}
     for repeat in range(plan.repeats):
         for title, runner in runners.items():
             if title not in figures.absent:
                 with told_absent(figures.absent, title):
-                    times[title].append(_timed(runner, 1 + SETTLED_FRAMES + repeat))
+                    times[title].append(_timed(runner, 2 + repeat))
     devices = {title: runner.device for title, runner in runners.items()}
     runners.clear()  # so that each one's memory is measured by itself
     for entry in entries:

@@ -23,7 +23,7 @@ class ResidentStep:
         self._scorer = TimedBuffers(_on_device(scorer))
         self._step = DeviceStep(self._scorer, device_body(scene.articulation), device_bounds(scene.domain))
         self.device = self._step.name
-        self._scene, self._seed, self._exponent = scene, seed, config.likelihood.exponent
+        self._scene, self._seed = scene, seed
         self._deviation = diffusion(config.motion, scene.domain) * np.sqrt(INTERVAL_S)
         state = scene.near_truth(np.random.default_rng(seed), particles, config)
         poses = state.poses
@@ -35,7 +35,7 @@ class ResidentStep:
         """See ``StepRunner``."""
         self._scorer.seconds = 0.0
         self._particles, _ = self._step.run(
-            self._seed, frame, self._particles, self._scene.log_ratio, self._deviation, "multinomial", self._exponent
+            self._seed, frame, self._particles, self._scene.log_ratio, self._deviation, "multinomial", 1.0
         )
         return self._scorer.seconds
 

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from service.bench.ablation import BY_OUTLINE, choose_variants, overlay
+from service.bench.ablation import choose_variants, overlay
 from service.bench.cases import Case, ModelShelf
 from service.bench.folder import find_sequences
 from service.bench.machine import describe_machine
@@ -101,8 +101,7 @@ def variant_entries(names: Sequence[str], settings: Sequence[str]) -> list[Entry
     """An entry per variant of the default preset. Raises ``VariantError`` for an unknown one."""
     given = read_settings(settings)
     return [
-        Entry(variant.name, effective(overlay(BY_OUTLINE, given, variant.sections)), variant.twins, variant.says)
-        for variant in choose_variants(names)
+        Entry(v.name, effective(overlay(given, v.sections)), v.twins, v.says, v.priors) for v in choose_variants(names)
     ]
 
 

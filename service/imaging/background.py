@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.features import FeatureSpec, feature_bins, feature_spec
+from service.imaging.own_sky import filled
 
 KEPT_FRAMES = 16  # enough for a per-pixel median that no star survives
 KEPT_BYTES = 64 * 2**20
@@ -101,11 +102,14 @@ class Sky:
     """Derived from a background, cached by content."""
 
     mean: NDArray[np.float32]  # (H, W, C) brightness per pixel
-    sigma: NDArray[np.float32]  # (C,) noise of one pixel
+    covariance: NDArray[np.float64]  # (C, C) of one pixel's noise: converted colours have theirs in common
     log_density: NDArray[np.float64]  # (bins,) log p(D|b) of the feature
     spec: FeatureSpec
-    known: NDArray[np.bool_]  # (H, W)
-    per_pixel: bool  # whether ``mean`` and ``sigma`` hold for the whole image
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """(C,) noise of one pixel."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 def learn(
@@ -148,7 +152,8 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     """Mean, noise and p(D|b) of a background.
 
     The mean is the per-pixel median over frames whose own level has been taken out, lightly smoothed while there
-    are few frames; the noise is the deviation about it without outliers, so stars do not count.
+    are few frames, and a smooth surface through what is known where no frame showed the sky; the noise is the
+    deviation about it without outliers, so stars do not count.
     """
     channels = background.shape[2]
     spec = feature_spec(feature, channels, background.bits, gradient_sigma_px)
@@ -157,36 +162,37 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     frames = background.frames.astype(np.float32)
     known = background.known
     level = np.median(frames[:, known], axis=1)[:, None, None]
-    mean = np.median(frames - level, axis=0)
+    mean = np.asarray(np.median(frames - level, axis=0), np.float32)
+    if not known.all():  # elsewhere it is the object that was seen
+        mean = filled(mean, known)
     residual = frames - level - mean
-    sigma = _noise(residual[:, known])
+    noise = _noise(residual[:, known])
     if len(frames) < KEPT_FRAMES:
         smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1)
         residual = frames - level - smooth
-        sigma = _noise(residual[:, known])
-        hot = np.abs(mean - smooth) > 6 * np.maximum(sigma, 0.3)
+        noise = _noise(residual[:, known])
+        hot = np.abs(mean - smooth) > 6 * np.maximum(np.sqrt(np.diag(noise)), 0.3)
         mean = np.where(hot, mean, smooth) if len(frames) > 2 else smooth
-    mean = mean + np.median(level, axis=0)
+    mean = mean + np.median(level, axis=0).astype(np.float32)
     return Sky(
         np.ascontiguousarray(mean, dtype=np.float32),
-        np.maximum(sigma, 0.5).astype(np.float32),  # below half a count quantisation is the noise
+        noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0)),  # below half a count quantisation is the noise
         np.log(density),
         spec,
-        known,
-        bool(known.all()),
     )
 
 
 def _noise(residual: NDArray[np.float32]) -> NDArray[np.float64]:
-    """(K, M, C) -> (C,) standard deviation of what lies within four of the robust one.
+    """(K, M, C) -> (C, C) covariance of what lies within four of the robust deviations.
 
     The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
     fifth off at two counts.
     """
     robust = 1.4826 * np.median(np.abs(residual), axis=(0, 1))
     inside = np.abs(residual) <= 4 * np.maximum(robust, 0.5)
-    squares = np.sum(residual.astype(np.float64) ** 2, axis=(0, 1), where=inside)
-    return np.asarray(np.sqrt(squares / np.maximum(1, np.sum(inside, axis=(0, 1)))), dtype=np.float64)
+    seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
+    both = inside.reshape(seen.shape).astype(np.float64)
+    return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
 
 
 def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Map = NDArray[np.float32]
+Array = NDArray[np.float64]
 
 _BORDER_SHARE = 12  # of the shorter side: the ring from which the first guess comes
 _ROUNDS = 4  # of outliers found and left out
@@ -32,23 +33,26 @@ def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic],
     """
     data = np.asarray(image, np.float32)
     data = data[..., None] if data.ndim == 2 else data
-    terms = _terms(*data.shape[:2])
+    terms = smooth_terms(*data.shape[:2])
     grey = data.mean(axis=2)
     ring = _ring(*grey.shape)
-    surface, sigma = _fitted(grey, terms, ring)
+    surface, sigma = _surface(grey, terms, ring)
     known = ~_light(grey - surface, sigma, _BRIGHT_SHARE)
     known = _enough(known, ring, grey - surface, sigma)
     surface, sigma = _sky(grey, terms, known)
     known = _enough(~_light(grey - surface, sigma), ring, grey - surface, sigma)
-    filled = data.copy()
-    for channel in range(data.shape[2]):
-        sky, _ = _sky(data[..., channel], terms, known)
-        filled[..., channel] = np.where(known, data[..., channel], sky)
-    whole = np.clip(np.rint(filled), 0, (1 << bits) - 1).astype(image.dtype)
+    whole = np.clip(np.rint(filled(data, known)), 0, (1 << bits) - 1).astype(image.dtype)
     return whole.reshape(image.shape), known
 
 
-def _terms(height: int, width: int) -> NDArray[np.float32]:
+def filled(image: Map, known: NDArray[np.bool_]) -> Map:
+    """``image`` (H, W, C) with a smooth surface through the ``known`` pixels (H, W) in the place of all others."""
+    terms = smooth_terms(*known.shape)
+    surfaces = [_sky(image[..., channel], terms, known)[0] for channel in range(image.shape[2])]
+    return np.where(known[..., None], image, np.stack(surfaces, axis=-1))
+
+
+def smooth_terms(height: int, width: int) -> NDArray[np.float32]:
     """(6, H, W) level, slopes and bends across the image: what stray light and vignetting leave."""
     across, down = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
     return np.stack([np.ones_like(across), across, down, across**2, across * down, down**2]).astype(np.float32)
@@ -61,11 +65,14 @@ def _ring(height: int, width: int) -> NDArray[np.bool_]:
     return ring
 
 
-def _fitted(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[Map, float]:
-    """The surface through the pixels that are chosen, and their noise, without what stands out: stars, hot pixels."""
+def fitted(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[Array, float]:
+    """Coefficients of the surface through the pixels that are chosen, and their noise, without what stands out.
+
+    ``terms`` (T, H, W) and ``where`` (H, W): (T,). Stars and hot pixels stand out.
+    """
     columns, values = terms[:, where], channel[where]
     inside = np.ones(len(values), dtype=bool)
-    level = np.zeros(len(terms), np.float32)
+    level = np.zeros(len(terms))
     level[0] = np.median(values)
     sigma = _LEAST_SIGMA
     for _ in range(_ROUNDS):
@@ -74,6 +81,12 @@ def _fitted(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) 
         inside = np.abs(residual) <= _OUTLIER_SIGMAS * sigma
         chosen = columns[:, inside]
         level = np.linalg.lstsq(chosen @ chosen.T, chosen @ values[inside], rcond=None)[0]
+    return level, sigma
+
+
+def _surface(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[Map, float]:
+    """(H, W) the same as an image."""
+    level, sigma = fitted(channel, terms, where)
     return np.tensordot(level, terms, 1).astype(np.float32), sigma
 
 
@@ -84,7 +97,7 @@ def _enough(known: NDArray[np.bool_], ring: NDArray[np.bool_], above: Map, sigma
 
 def _sky(channel: Map, terms: NDArray[np.float32], known: NDArray[np.bool_]) -> tuple[Map, float]:
     """The whole smooth surface, and the noise about it."""
-    surface, sigma = _fitted(channel, terms, known)
+    surface, sigma = _surface(channel, terms, known)
     for _ in range(2):
         left = channel - surface
         sky = (known & (np.abs(left) <= _OUTLIER_SIGMAS * sigma)).astype(np.float32)

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.background import Sky
+from service.imaging.own_sky import fitted, smooth_terms
 
 Map = NDArray[np.float32]
 
 DETECTION_SIGMAS = 5.0
 """Light counts as detected from here on, after a smoothing by one pixel: one false pixel in a few million."""
 _SMOOTH_PX = 1.0
+_LEVEL_PIXELS, _LEVEL_BORDER = 8_192, 0.15  # looked at for a frame's own level; share of the half width
+_LEVEL_ROUNDS, _LEVEL_SIGMAS = 4, 3.0
 _SMOOTHED_SIGMA = 1.0 / (2.0 * np.sqrt(np.pi) * _SMOOTH_PX)  # of white noise of unit variance after it
 _LEAST_AREA_PX = 9
 _NEAR = 0.35  # components nearer than this share of the object's diagonal belong to it: booms and panels half in shadow
@@ -99,16 +102,38 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     rows, columns = region or (slice(0, image.shape[0]), slice(0, image.shape[1]))
     data, mean = np.asarray(image[rows, columns], np.float32), sky.mean[rows, columns]
     data = data[..., None] if data.ndim == 2 else data
-    weight = 1.0 / sky.sigma.astype(np.float64) ** 2
+    weight = 1.0 / np.diag(sky.covariance)
     weight /= weight.sum()
     share = weight.astype(np.float32)
+    sigma = float(np.sqrt(weight @ sky.covariance @ weight))
     above = np.asarray((data - mean) @ share, np.float32)
-    sigma = float(np.sqrt(np.sum((weight * sky.sigma) ** 2)))
+    above -= _own_level(above, sigma)
     photon = _photon_transfer(above, sigma)
     level = max(float(np.median(mean @ share)), 0.0)
     hidden = min(level, sigma**2 / photon)
     censored = data.max(axis=2) >= (1 << bits) - 1
     return Light(above, sigma, photon, hidden, censored, (columns.start, rows.start))
+
+
+def _own_level(above: Map, sigma: float) -> Map:
+    """(H, W) by how much a frame's sky differs from the one that was learnt: a plane, as moonlight and haze make it.
+
+    Guessed from the border, where the object seldom is, then fitted to all that looks like such a sky. Where most of
+    the border does not, it is no plane that has changed, and nothing is taken away.
+    """
+    height, width = above.shape
+    every = max(1, int(np.sqrt(height * width / _LEVEL_PIXELS)))  # a sample tells the level well enough
+    some, terms = above[::every, ::every], smooth_terms(height, width)[:3]
+    sampled = terms[:, ::every, ::every]
+    edge = np.abs(sampled[1:]).max(axis=0) > 1 - _LEVEL_BORDER
+    plane = fitted(some, sampled, edge)[0]
+    for _ in range(_LEVEL_ROUNDS):
+        sky = np.abs(some - np.tensordot(plane, sampled, 1)) < _LEVEL_SIGMAS * sigma
+        if np.count_nonzero(sky & edge) < 0.5 * np.count_nonzero(edge):
+            return np.zeros_like(above)
+        columns = sampled[:, sky].astype(np.float64)
+        plane = np.asarray(np.linalg.lstsq(columns @ columns.T, columns @ some[sky], rcond=None)[0], np.float64)
+    return np.tensordot(plane, terms, 1).astype(np.float32)
 
 
 def _photon_transfer(above: Map, sigma: float) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +12,6 @@ from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
 from service.inference.modes import LEAST_MODE, MOST_MODES, cluster, distance, metric_of
 from service.inference.pose import concatenate
 from service.inference.state import Array, FilterState, Mixture, Poses, Rates
-from service.inference.symmetry import Symmetry, refold
-from service.inference.update import MOST_SURPRISE
 
 
 @dataclass(frozen=True)
@@ -22,12 +19,12 @@ class Belief:
     """K modes, one of each set of twins; d = 6 + J. Rates are tangent velocities per second."""
 
     time_s: float
-    widening: float  # the next prediction's noise is this many times the motion's
+    widening: float  # the next prediction's noise is this many times the motion's: 1, but in earlier versions
     log_weights: Array  # (K,) of weights that sum to 1
     poses: Poses  # (K) means
     rates: Array  # (K, d) means
     covariance: Array  # (K, 2d, 2d) of (pose in the tangent space of its mean, rates)
-    each: bool = False  # whether symmetry-equivalents are modes of their own
+    each: bool = False  # whether symmetry-equivalents are modes of their own; not in earlier versions
 
     def __len__(self) -> int:
         return len(self.log_weights)
@@ -38,39 +35,33 @@ class Belief:
         return int(self.rates.shape[1])
 
 
-def belief_of(state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> Belief | None:
-    """The modes of a stored particle set, heaviest first; None where it holds nothing but the prior.
-
-    ``twins`` are those that the state was unfolded over (``symmetry.unfold``): each particle is taken back by its
-    turn, so that one mode stays one mode although its particles stand at several twins.
-    """
-    if state.status == "no_target" and float(np.asarray(state.memory.get("age", 0.0))) <= 0:
+def belief_of(state: FilterState, domain: Domain) -> Belief | None:
+    """The modes of a particle set, heaviest first; None where it holds nothing but the prior."""
+    if state.status == "no_target":
         return None
-    poses, rates = refold(state.poses, state.rates, twins, domain)
     weights = np.exp(state.log_weights)
-    labels = cluster(poses, state.log_weights, metric_of(domain.articulation))
+    labels = cluster(state.poses, state.log_weights, metric_of(domain.articulation))
     share = np.bincount(labels, weights=weights)
     heaviest = [int(k) for k in np.argsort(-share)[:MOST_MODES] if share[k] >= LEAST_MODE]
     means, rate_means, covariances = [], [], []
     for k in heaviest:
         members = np.flatnonzero(labels == k)
         inner = weights[members] / share[k]
-        mean = domain.wrap(mean_pose(poses[members], inner, domain.wrapping))
-        rate = inner @ rates[members]
-        x = np.hstack([tangent(mean, poses[members], domain.wrapping), rates[members] - rate])
+        mean = domain.wrap(mean_pose(state.poses[members], inner, domain.wrapping))
+        rate = inner @ state.rates[members]
+        x = np.hstack([tangent(mean, state.poses[members], domain.wrapping), state.rates[members] - rate])
         covariance = np.einsum("n,ni,nj->ij", inner, x, x)
         means.append(mean)
         rate_means.append(rate)
         covariances.append(covariance)
-    kept = share[heaviest] / share[heaviest].sum()
-    surprise = float(np.asarray(state.memory.get("surprise", 1.0)))
     return Belief(
         time_s=state.time_s,
-        widening=float(np.clip(np.sqrt(surprise), 1.0, MOST_SURPRISE)),
-        log_weights=np.log(kept),
+        widening=1.0,
+        log_weights=np.log(share[heaviest] / share[heaviest].sum()),
         poses=concatenate(*means),
         rates=np.array(rate_means),
         covariance=np.array(covariances),
+        each=True,
     )
 
 

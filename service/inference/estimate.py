@@ -11,7 +11,6 @@ from service.inference.domain import Domain
 from service.inference.modes import cluster, metric_of
 from service.inference.pose import (
     angle_between,
-    concatenate,
     conjugate,
     exp_so3,
     local,
@@ -20,7 +19,6 @@ from service.inference.pose import (
     yaw_pitch_roll_deg,
 )
 from service.inference.state import Array, Estimate, Mode, Outcome, PoseEstimate, Poses, Spread
-from service.inference.symmetry import Symmetry, twin
 from service.inference.weights import effective_sample_size
 
 LEFT_OUT = 0.01  # modes that hold less than this share together are not listed
@@ -93,43 +91,31 @@ def report(pose: Poses) -> PoseEstimate:
     return PoseEstimate(q if q[0] >= 0 else -q, pose.position[0], float(np.exp(pose.log_scale[0])), pose.joints[0])
 
 
-def summarise(outcome: Outcome, log_background: float, twins: Sequence[Symmetry], domain: Domain) -> Estimate:
+def summarise(outcome: Outcome, log_background: float, domain: Domain) -> Estimate:
     """Everything that a frame's answer says of the posterior.
 
-    ``outcome`` holds one of each set of twins; all of them are reported. ``log_background`` is the constant of
-    Eq. 2, which every log likelihood of the frame shares.
+    ``log_background`` is the constant of Eq. 2, which every log likelihood of the frame shares.
     """
     counted = np.flatnonzero(outcome.log_weights > np.max(outcome.log_weights) - NEGLIGIBLE_NATS)
-    weights, counted_poses = np.exp(outcome.log_weights[counted]), outcome.poses[counted]
-    wrapping = domain.wrapping
-    everybody = [counted_poses, *(domain.wrap(twin(counted_poses, symmetry)) for symmetry in twins)]
-    poses = concatenate(*everybody)
-    shared = np.tile(weights / len(everybody), len(everybody))
-    mean = domain.wrap(mean_pose(poses, shared, wrapping))
-    best = outcome.best
-    if best is None:
-        top = int(np.argmax(outcome.log_likelihood))
-        best = outcome.poses[top : top + 1], float(outcome.log_likelihood[top])
+    weights, poses = np.exp(outcome.log_weights[counted]), outcome.poses[counted]
+    mean = domain.wrap(mean_pose(poses, weights, domain.wrapping))
+    top = int(np.argmax(outcome.log_likelihood))
     return Estimate(
         status=outcome.status,
         mean=report(mean),
-        best=report(best[0]),
-        best_log_likelihood=best[1] + log_background,
-        spread=spread(poses, shared, mean, wrapping),
-        modes=find_modes(everybody, weights, outcome.log_likelihood[counted], domain),
+        best=report(outcome.poses[top : top + 1]),
+        best_log_likelihood=float(outcome.log_likelihood[top]) + log_background,
+        spread=spread(poses, weights, mean, domain.wrapping),
+        modes=find_modes(poses, weights, outcome.log_likelihood[counted], domain),
         n_particles=len(outcome.log_weights),
         ess=effective_sample_size(outcome.log_weights),
         log_evidence=outcome.log_evidence + log_background,
     )
 
 
-def find_modes(everybody: Sequence[Poses], weights: Array, log_likelihood: Array, domain: Domain) -> tuple[Mode, ...]:
-    """Clusters with their weight, mean and spread, heaviest first, until all but ``LEFT_OUT`` is told.
-
-    ``everybody`` lists the particles and each set of their twins. Clusters are found once and told once per twin,
-    so twins have equal weights; twins that lie within the cluster's own spread are one mode.
-    """
-    labels = cluster(everybody[0], log_likelihood, metric_of(domain.articulation))
+def find_modes(poses: Poses, weights: Array, log_likelihood: Array, domain: Domain) -> tuple[Mode, ...]:
+    """Clusters with their weight, mean and spread, heaviest first, until all but ``LEFT_OUT`` is told."""
+    labels = cluster(poses, log_likelihood, metric_of(domain.articulation))
     share = np.bincount(labels, weights=weights)
     modes: list[Mode] = []
     for k in np.argsort(-share):
@@ -137,8 +123,10 @@ def find_modes(everybody: Sequence[Poses], weights: Array, log_likelihood: Array
         if modes and sum(m.weight for m in modes) > 1 - LEFT_OUT:
             break
         inner = weights[members] / share[k]
-        modes.extend(twin_modes([poses[members] for poses in everybody], inner, float(share[k]), domain))
-    return tuple(sorted(modes, key=lambda mode: -mode.weight))
+        mean = domain.wrap(mean_pose(poses[members], inner, domain.wrapping))
+        width = spread(poses[members], inner, mean, domain.wrapping)
+        modes.append(Mode(float(share[k]), report(mean), width))
+    return tuple(modes)
 
 
 def twin_modes(everybody: Sequence[Poses], weights: Array, share: float, domain: Domain) -> list[Mode]:

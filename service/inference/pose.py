@@ -7,6 +7,7 @@ side: ``R exp([v]x)``.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.state import Array, Poses
 
@@ -129,4 +130,20 @@ def concatenate(*batches: Poses) -> Poses:
         np.concatenate([b.position for b in batches]),
         np.concatenate([b.log_scale for b in batches]),
         np.concatenate([b.joints for b in batches]),
+    )
+
+
+def repeat(poses: Poses, count: int) -> Poses:
+    """Each of K poses ``count`` times, in a row: K * count poses."""
+    return poses[np.repeat(np.arange(len(poses)), count)]
+
+
+def pick(condition: NDArray[np.bool_], a: Poses, b: Poses) -> Poses:
+    """Per particle: ``a`` where the condition holds, else ``b``."""
+    c = condition[:, None]
+    return Poses(
+        np.where(c, a.quaternion, b.quaternion),
+        np.where(c, a.position, b.position),
+        np.where(condition, a.log_scale, b.log_scale),
+        np.where(c, a.joints, b.joints),
     )

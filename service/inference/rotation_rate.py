@@ -10,16 +10,13 @@ from service.inference.state import Array, FilterState
 _NEAR_RAD = float(np.deg2rad(15.0))
 
 
-def rotation_rate(state: FilterState, quaternion: Array, n_twins: int = 0) -> Array | None:
+def rotation_rate(state: FilterState, quaternion: Array) -> Array | None:
     """(3,) weighted mean rotation rate, rad/s in body axes, of the particles within 15 degrees of ``quaternion``.
 
-    Not of all: particles of different modes and twins turn about different axes of the body, and their mean is none
-    of them. Of twins that are near each other, one: particles hold the body's ``n_twins`` twins in turn, and the turn
-    of the nearest one is taken. None where no particle is near.
+    Not of all: particles of different modes turn about different axes of the body, and their mean is none of them.
+    None where no particle is near.
     """
-    angle = angle_between(state.poses.quaternion, quaternion)
-    turn = np.arange(len(angle)) % (n_twins + 1)
-    near = (angle < _NEAR_RAD) & (turn == turn[int(np.argmin(angle))])
+    near = angle_between(state.poses.quaternion, quaternion) < _NEAR_RAD
     weights = np.where(near, np.exp(state.log_weights), 0.0)
     total = float(np.sum(weights))
     if total <= 0.0:

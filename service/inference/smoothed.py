@@ -10,8 +10,7 @@ import numpy as np
 from service.inference.belief import Belief, rates_of
 from service.inference.domain import Domain
 from service.inference.estimate import mean_pose, report, spread, twin_modes
-from service.inference.islands import repeat
-from service.inference.pose import concatenate, retract
+from service.inference.pose import concatenate, repeat, retract
 from service.inference.state import Array, Mode, PoseEstimate, Poses, Rates, Spread
 from service.inference.symmetry import Symmetry, twin
 

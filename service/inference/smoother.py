@@ -19,12 +19,12 @@ import numpy as np
 from service.inference.belief import Belief
 from service.inference.domain import Domain
 from service.inference.estimate import tangent
+from service.inference.model.prior import NEWCOMER
 from service.inference.modes import LEAST_MODE, MOST_MODES
 from service.inference.motion import MotionNoise, carry_on
 from service.inference.pose import concatenate, exp_so3, retract, rotation_matrices
 from service.inference.state import Array, Poses
 from service.inference.symmetry import Symmetry, twin, twin_rates
-from service.inference.tracking import NEWCOMER
 from service.inference.weights import log_sum_exp
 
 LEAST_DT_S = 1e-3  # as in the filter
@@ -74,7 +74,7 @@ def step_back(belief: Belief, later: Belief, space: Space) -> Belief:
         log_shares = belief.log_weights + np.array([log_density for log_density, _, _ in met])
         log_new = float(np.log(NEWCOMER)) + _log_unknown(target.rate, space)
         total = log_sum_exp(np.append(log_shares, log_new))
-        # What a renewed search found tells nothing of where the object was before.
+        # What a search found tells nothing of where the object was before.
         stay = weight * float(np.exp(log_new - total)) * np.exp(belief.log_weights)
         for i, (_, shift, covariance) in enumerate(met):
             share = weight * float(np.exp(log_shares[i] - total))
@@ -147,7 +147,7 @@ def _gap(origin: Gaussian, other: Gaussian, domain: Domain) -> Array:
 
 
 def alike(mode: Gaussian, space: Space) -> Iterator[Gaussian]:
-    """The mode and its twins: a renewed search may have come upon another of them."""
+    """The mode and its twins: a search may have come upon another of them."""
     yield mode
     d = len(mode.rate)
     steps = _STEP * np.eye(d)

@@ -81,11 +81,7 @@ class Mixture:
 
 @dataclass(frozen=True)
 class FilterState:
-    """The weighted posterior after a frame, and what the tracker remembers beside it.
-
-    ``memory`` holds small named arrays that a later frame needs (learned foreground, point-spread width,
-    history of the evidence); everything in a state can be written to a file and read back bit for bit.
-    """
+    """The weighted posterior after a frame; it can be written to a file and read back bit for bit."""
 
     poses: Poses
     log_weights: Array  # (N,) log of weights that sum to 1
@@ -93,7 +89,7 @@ class FilterState:
     frame_index: int  # of the frame this posterior belongs to
     time_s: float  # of that frame
     status: str  # one of STATUSES
-    memory: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
+    memory: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)  # of versions before 2: read, not used
     mixture: Mixture | None = None  # of the method that keeps modes
 
 
@@ -124,8 +120,6 @@ class Outcome:
     rates: Array  # (N, 6 + J)
     status: str
     log_evidence: float
-    memory: Mapping[str, NDArray[np.generic]]
-    best: tuple[Poses, float] | None = None  # a pose of higher likelihood than any particle's, if one was sought
 
 
 @dataclass(frozen=True)

@@ -7,15 +7,11 @@ too: a panel mirrored with its body turns the other way, a flat panel looks the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from service.inference.domain import Domain
-from service.inference.islands import pick
-from service.inference.modes import distance, metric_of
 from service.inference.pose import conjugate, from_matrices, multiply, rotation_matrices
 from service.inference.state import Array, Poses
 
@@ -73,48 +69,3 @@ def twin_rates(rates: Array, symmetry: Symmetry) -> Array:
     if rates.shape[1] > 6:
         out[:, 6:] = rates[:, 6:] * np.asarray(symmetry.joint_sign)
     return out
-
-
-def fold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain, anchor: Poses) -> tuple[Poses, Array]:
-    """Replace each pose by that twin of it which is nearest to ``anchor`` (a batch of one), rates with it."""
-    metric = metric_of(domain.articulation)
-    nearest = distance(poses, anchor, metric)
-    for symmetry in twins:
-        other = domain.wrap(twin(poses, symmetry))
-        gap = distance(other, anchor, metric)
-        closer = gap < nearest
-        poses, nearest = pick(closer, other, poses), np.where(closer, gap, nearest)
-        rates = np.where(closer[:, None], twin_rates(rates, symmetry), rates)
-    return poses, rates
-
-
-def unfold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain) -> tuple[Poses, Array]:
-    """Spread the particles evenly over all twins, in turn: no twin can die out by chance."""
-    return _in_turn(poses, rates, twins, domain)
-
-
-def refold(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain) -> tuple[Poses, Array]:
-    """Undo ``unfold``: by each particle's turn, not by what is near, so that a body may turn through a twin."""
-    return _in_turn(poses, rates, [inverse(symmetry) for symmetry in twins], domain)
-
-
-def inverse(symmetry: Symmetry) -> Symmetry:
-    """The symmetry that undoes ``symmetry``."""
-    m = np.asarray(symmetry.matrix)
-    back = -m.T @ np.asarray(symmetry.offset)
-    shift = tuple(-s * t for s, t in zip(symmetry.joint_sign, symmetry.joint_shift, strict=True))
-    rows = tuple((float(r[0]), float(r[1]), float(r[2])) for r in m.T)
-    return Symmetry(rows, (float(back[0]), float(back[1]), float(back[2])), symmetry.joint_sign, shift)
-
-
-def _in_turn(poses: Poses, rates: Array, twins: Sequence[Symmetry], domain: Domain) -> tuple[Poses, Array]:
-    """The first particle stays, the next ones are seen through one of the symmetries each, and so on."""
-    quaternion, position, joints, rates = (
-        array.copy() for array in (poses.quaternion, poses.position, poses.joints, rates)
-    )
-    for k, symmetry in enumerate(twins, start=1):
-        mine = np.arange(k, len(poses), len(twins) + 1)
-        moved = domain.wrap(twin(poses[mine], symmetry))
-        quaternion[mine], position[mine], joints[mine] = moved.quaternion, moved.position, moved.joints
-        rates[mine] = twin_rates(rates[mine], symmetry)
-    return Poses(quaternion, position, poses.log_scale, joints), rates

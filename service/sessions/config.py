@@ -15,7 +15,18 @@ from service.errors import ConfigError
 from service.inference.articulation import Articulation
 from service.inference.params import SessionConfig, preset_defaults
 
-_RETIRED_FILTER = ("target_ess", "moves", "acquisition_moves")  # of the method `tempered`, which went with them
+RETIRED: Mapping[str, tuple[str, ...]] = {
+    "filter": (
+        *("acquisition_moves", "acquisition_particles", "adaptive", "enough_ess", "least_particles", "moves"),
+        *("prefer", "target_ess"),
+    ),
+    "likelihood": (
+        *("covered_empty_nats", "edge_nats_per_px", "exponent", "kind", "misfit_nats", "mode_exponent"),
+        *("shading_nats", "shading_power", "uncovered_bright_nats"),
+    ),
+}
+"""Of the outline's filter (methods `tempered` and `importance`), which `mixture` took the place of."""
+_RETIRED_METHODS = ("tempered", "importance")
 CONFIG: TypeAdapter[SessionConfig] = TypeAdapter(SessionConfig)
 
 
@@ -45,13 +56,31 @@ def stored(document: Mapping[str, Any]) -> SessionConfig:
 
     Raises ``ConfigError``.
     """
-    sections = {name: dict(values) for name, values in document.items()}
-    chosen = sections.get("filter", {})
-    for name in _RETIRED_FILTER:
-        chosen.pop(name, None)
-    if chosen.get("method") == "tempered":
-        chosen["method"] = "importance"
-    return parse(orjson.dumps(sections))
+    return parse(orjson.dumps(without_retired(document)[0]))
+
+
+def without_retired(sections: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Sections as an earlier version took them, less what is no more; and a sentence on each thing left out."""
+    left: dict[str, Any] = dict(sections)
+    said: list[str] = []
+    for name, retired in RETIRED.items():
+        if isinstance(left.get(name), Mapping):
+            gone = [key for key in retired if key in left[name]]
+            left[name] = {key: value for key, value in left[name].items() if key not in retired}
+            said += [f"{name}.{key} is no more, and was left out" for key in gone]
+    chosen = left.get("filter")
+    if isinstance(chosen, Mapping) and chosen.get("method") in _RETIRED_METHODS:
+        said.append(f"filter.method {chosen['method']} is no more: auto")
+        left["filter"] = {**chosen, "method": "auto"}
+    return left, tuple(said)
+
+
+def unused(sections: Mapping[str, Any], config: SessionConfig) -> tuple[str, ...]:
+    """A sentence on each thing that was chosen for the other method."""
+    if config.filter.method == "bootstrap":
+        return ()
+    chosen = [name for name in ("backend", "resampler", "step") if name in sections.get("filter", {})]
+    return tuple(f"filter.{name} is for bootstrap, and is not used" for name in chosen)
 
 
 def document(config: SessionConfig) -> dict[str, Any]:

@@ -58,9 +58,10 @@ class Registry:
 
         Raises ``NotFoundError`` for a model, ``QuotaExceededError``, ``ConfigError`` for the rest.
         """
+        sections, left_out = session_config.without_retired(sections)
         config = session_config.effective(sections)
         await asyncio.to_thread(Ranging, config)  # an orbit that cannot be read is refused now, not with a frame
-        warnings: list[str] = []
+        warnings = [*left_out, *session_config.unused(sections, config)]
         keys = [model_key(tenant, model_id) for model_id in model_ids]
         for key in keys:
             model = await self._rooms.database.read(models.get, key)

@@ -160,17 +160,15 @@ class Session:
         self, frame: FrameIn, background: str, known: Known
     ) -> tuple[tuple[Contender, ...], PackedFrameReport]:
         """The frame under every model, one job after the other; the report of the most probable."""
-        # One measurement for all: evidence under different maps could not be compared.
-        guide = self._contenders[leader(self._contenders)].state if len(self._contenders) > 1 else None
         after, reports = [], []
         for contender in self._contenders:
-            report = await self._track_one(contender, frame, background, known, guide)
+            report = await self._track_one(contender, frame, background, known)
             after.append(contender.after(report))
             reports.append(report)
         return tuple(after), reports[leader(after)]
 
     async def _track_one(
-        self, contender: Contender, frame: FrameIn, background: str, known: Known, guide: bytes | None
+        self, contender: Contender, frame: FrameIn, background: str, known: Known
     ) -> PackedFrameReport:
         job = FrameJob(
             config=self._config,
@@ -187,9 +185,8 @@ class Session:
             size=self._frame_size,
             scale_px=scale_bounds(self._config.prior, known.ranged),
             light=known.lit.light,
-            compared=len(self._contenders) > 1,
         )
-        return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob, guide)
+        return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob)
 
     async def _commit(
         self, frame: FrameIn, known: Known, contenders: tuple[Contender, ...], report: PackedFrameReport

@@ -89,11 +89,9 @@ class FrameJob:
     media_type: str
     blobs: Mapping[str, bytes] = field(default_factory=dict)
     twins: tuple[Symmetry, ...] = ()  # symmetries of the model, joints by position in ``articulation``
-    guide: Mapping[str, NDArray[np.generic]] | None = None  # memory to measure the frame with; None: the state's own
     size: tuple[int, int] | None = None  # width and height that the frame must have; None: what fits the background
     scale_px: tuple[float, float] | None = None  # bounds known for this frame, px of the whole frame per model unit
     light: Light | None = None  # what is known of it before the frame is looked at
-    compared: bool = False  # whether the session holds several models against each other
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,6 @@ class PackedFrameJob:
 
     job: FrameJob
     state: bytes | None
-    guide: bytes | None = None  # the state whose memory is ``job.guide``
 
 
 @dataclass(frozen=True)

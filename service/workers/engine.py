@@ -72,13 +72,11 @@ class Engine:
         report: BackgroundReport = await self.transport.call(session_id, "learn_background", job)
         return report
 
-    async def track(
-        self, session_id: str, job: FrameJob, state: bytes | None, blobs: BlobSource, guide: bytes | None = None
-    ) -> PackedFrameReport:
-        """One frame: packed state in, packed state out. ``guide``: the state whose memory measures the frame."""
+    async def track(self, session_id: str, job: FrameJob, state: bytes | None, blobs: BlobSource) -> PackedFrameReport:
+        """One frame: packed state in, packed state out."""
 
         async def run(brought: Mapping[str, bytes]) -> PackedFrameReport:
-            packed = PackedFrameJob(replace(job, blobs=brought), state, guide)
+            packed = PackedFrameJob(replace(job, blobs=brought), state)
             report: PackedFrameReport = await self.transport.call(session_id, "track", packed)
             return report
 

@@ -11,7 +11,7 @@ from gpu.mesh import Mesh
 from service.imaging.background import Sky
 from service.imaging.decode import Frame as Image
 from service.inference.articulation import Articulation
-from service.inference.belief import Belief
+from service.inference.belief import Belief, belief_of_mixture
 from service.inference.domain import Domain
 from service.inference.filters.given import Given
 from service.inference.filters.mixture import step
@@ -30,7 +30,7 @@ from service.workers.cache import Cache
 from service.workers.full_frame import in_full_frame, in_window, scale_in_window
 from service.workers.lit_body import LitBody
 from service.workers.lit_frame import LightOfFrame, region_of
-from service.workers.smoothing import belief_after, with_rates
+from service.workers.smoothing import with_rates
 
 _BANKS, _BANK_BYTES = 8, 1 << 29  # 90 MB each, 280 of a body with two joints
 _SAME_SUN_RAD = 0.05  # templates 12 degrees apart do not feel it
@@ -67,8 +67,9 @@ class Following:
         given = Given(frame, body, bank, told, config, domain, twins, job.frame_index, job.time_s)
         stream = np.array([config.filter.seed, job.frame_index], np.uint64)
         state, estimate = step(np.random.Generator(np.random.Philox(key=stream)), of_body(job.state, body), given)
-        belief = belief_after(job, state, (), domain)
-        estimate = with_rates(estimate, state, belief, job, domain, ())
+        belief = None if state.mixture is None else belief_of_mixture(state, state.mixture)
+        if job.state is not None and config.motion.kind == "constant_velocity":
+            estimate = with_rates(estimate, state, belief, domain)
         return state, in_full_frame(estimate, job.config.camera), belief
 
     def close(self) -> None:
@@ -121,12 +122,3 @@ def told_of(config: SessionConfig, domain: Domain, light: Light | None) -> PoseP
         low, high = domain.log_scale_bounds
         return replace(told, log_scale=0.5 * (low + high), log_scale_sigma=max((high - low) / 6, 1e-3))
     return told
-
-
-def follows_light(job: FrameJob) -> bool:
-    """Whether a frame is one of ``filters.mixture``: see ``filter.method``. A session goes on as it began."""
-    method = job.config.filter.method
-    if method != "auto":
-        return method == "mixture"
-    by_outline = job.state is not None and job.state.mixture is None and bool(job.state.memory)
-    return not job.compared and job.config.filter.backend == "auto" and not by_outline

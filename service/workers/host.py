@@ -35,8 +35,7 @@ def execute(worker: Worker, method: str, job: Any) -> Any:
 
 def _track(worker: Worker, packed: PackedFrameJob) -> PackedFrameReport:
     state = None if packed.state is None else decode(FilterState, packed.state)
-    guide = None if packed.guide is None else decode(FilterState, packed.guide).memory
-    report = worker.track(replace(packed.job, state=state, guide=guide))
+    report = worker.track(replace(packed.job, state=state))
     belief = None if report.belief is None else encode(report.belief)
     return PackedFrameReport(encode(report.state), report.estimate, dict(report.timing_ms), report.scorer, belief)
 

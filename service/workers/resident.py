@@ -85,7 +85,7 @@ class ResidentUpdate:
             warnings.warn(f"{error}; this step is made on the host", RuntimeWarning, stacklevel=2)
             return bootstrap_update(rng, state, frame, score, config, domain)
         self.used, self.seconds = True, scorer.seconds
-        return weighed(poses, log_likelihood, config, domain)
+        return weighed(poses, log_likelihood, domain)
 
 
 def run(

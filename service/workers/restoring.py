@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import CheckpointError
 from service.imaging.background import Background
-from service.imaging.region import region_levels
 from service.inference.state import STATUSES, FilterState
 from service.workers.base import RestoreJob, RestoreReport
 from service.workers.codec import decode
@@ -36,13 +34,13 @@ def check_restored(job: RestoreJob) -> RestoreReport:
         if job.state is None:
             return report
         state = decode(FilterState, job.state)
-        check_state(state, job.n_joints, report.channels or 1)
+        check_state(state, job.n_joints)
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"the content does not fit: {error}", field="body") from error
     return replace(report, frame_index=state.frame_index, time_s=state.time_s, status=state.status)
 
 
-def check_state(state: FilterState, n_joints: int, channels: int) -> None:
+def check_state(state: FilterState, n_joints: int) -> None:
     """Raises ``ValueError`` where the particles are no posterior of a session with so many free joints."""
     poses, n = state.poses, len(state.log_weights)
     shapes = {
@@ -67,43 +65,18 @@ def check_state(state: FilterState, n_joints: int, channels: int) -> None:
         raise ValueError("the state's frame or time is no number")
     if state.status not in STATUSES:
         raise ValueError(f"status {state.status!r}")
-    _check_memory(state.memory, n_joints, channels)
+    _check_memory(state.memory)
     if state.mixture is not None:
         check_mixture(state.mixture, n_joints)
 
 
-def _check_memory(memory: Mapping[str, NDArray[np.generic]], n_joints: int, channels: int) -> None:
-    """What the filter and the measurement remember; names they do not know are left alone, if they are small."""
+def _check_memory(memory: Mapping[str, NDArray[np.generic]]) -> None:
+    """What an earlier version's filter remembered: nothing uses it, and it must be small."""
     for name, array in memory.items():
-        if not _is_array(array) or array.size > 1 << 20 or not np.isfinite(array).all():
+        if array.size > 1 << 20 or not np.isfinite(array).all():
             raise ValueError(f"memory {name!r} is no finite array, or too large")
-        shape, dtype, least = _MEMORY.get(name, (array.shape, array.dtype, -np.inf))
-        if name == "rate_variance":
-            shape = (6 + n_joints,)
-        elif name in _REGION:
-            shape = (region_levels(channels) ** channels,)
-        if array.shape != shape or array.dtype != dtype or (array.size and not least <= np.real(array).min()):
-            raise ValueError(f"memory {name!r} is {array.dtype} {array.shape}")
-        if name in _MEMORY and np.abs(array).max() > _LARGEST:
-            raise ValueError(f"memory {name!r} is too large")
-    if len(memory) > _MOST_NAMES or len(_REGION & memory.keys()) == 1:
-        raise ValueError("the memory is incomplete, or has too many names")
+    if len(memory) > _MOST_NAMES:
+        raise ValueError("the memory has too many names")
 
 
-_Rule = tuple[tuple[int, ...], Any, float]
-_SCALAR: _Rule = ((), np.float64, 0.0)
-_POSITIVE: _Rule = ((), np.float64, 1e-9)
-_REGION = {"region_foreground", "region_background"}
-_MEMORY: Mapping[str, _Rule] = {
-    "age": _SCALAR,
-    "support": _SCALAR,
-    "surprise": _POSITIVE,
-    "psf_sigma_px": _POSITIVE,
-    "rate_variance": ((), np.float64, 0.0),
-    **dict.fromkeys(_REGION, ((), np.float32, 1e-12)),
-}
 _MOST_NAMES = 64
-
-
-def _is_array(value: object) -> bool:
-    return isinstance(value, np.ndarray)  # the codec brings whatever the bytes say

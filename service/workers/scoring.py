@@ -75,23 +75,21 @@ class Scorers:
 
 
 class TimedScorer:
-    """``score_maps`` of ``inference.step`` over a scorer, with the time it took."""
+    """``score`` of ``inference.step`` over a scorer, with the time it took; ``log_ratio`` (H, W)."""
 
-    def __init__(self, scorer: Scorer, articulation: Articulation) -> None:
-        self._scorer, self._articulation = scorer, articulation
+    def __init__(self, scorer: Scorer, articulation: Articulation, log_ratio: NDArray[np.float32]) -> None:
+        self._scorer, self._articulation, self._log_ratio = scorer, articulation, log_ratio
         self._batch = max(1, TRANSFORMS_BYTES // (TRANSFORM_BYTES * max(1, len(articulation.parts))))
         self.seconds = 0.0
 
-    def __call__(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
-        """(N poses, (K, H, W) maps) -> (N, K)."""
-        if len(poses) <= self._batch:
-            return self._score(poses, maps)
+    def __call__(self, poses: Poses) -> Array:
+        """(N,) sums of the map under each silhouette."""
         starts = range(0, len(poses), self._batch)
-        return np.concatenate([self._score(poses[slice(k, k + self._batch)], maps) for k in starts])
+        return np.concatenate([self._score(poses[slice(k, k + self._batch)]) for k in starts])
 
-    def _score(self, poses: Poses, maps: NDArray[np.float32]) -> Array:
+    def _score(self, poses: Poses) -> Array:
         transforms = part_transforms(self._articulation, poses)
         began = time.perf_counter()
-        scores = self._scorer.score_many(transforms, maps)
+        scores = self._scorer.score(transforms, self._log_ratio)
         self.seconds += time.perf_counter() - began
         return scores

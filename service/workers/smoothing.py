@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from service.inference.articulation import hold
-from service.inference.belief import Belief, belief_of, belief_of_mixture, rates_near
+from service.inference.belief import Belief, rates_near
 from service.inference.domain import Domain
 from service.inference.motion import motion_noise
 from service.inference.rotation_rate import rotation_rate
 from service.inference.smoothed import summarise_belief
 from service.inference.smoother import Space, smooth
 from service.inference.state import Estimate, FilterState, Poses
-from service.inference.symmetry import Symmetry
 from service.models.symmetry_group import held_symmetries
-from service.workers.base import FrameJob, SmoothJob, SmoothReport
+from service.workers.base import SmoothJob, SmoothReport
 from service.workers.codec import decode
 from service.workers.full_frame import camera_window, smoothed_in_full_frame
 
@@ -39,28 +37,10 @@ def smooth_pass(job: SmoothJob) -> SmoothReport:
     return SmoothReport(tuple(None if e is None else smoothed_in_full_frame(e, camera) for e in told_of))
 
 
-def belief_after(job: FrameJob, state: FilterState, twins: Sequence[Symmetry], domain: Domain) -> Belief | None:
-    """The posterior after a frame as modes; the paper's filter knows of no ``twins``."""
-    if state.mixture is not None:
-        return belief_of_mixture(state, state.mixture)
-    return belief_of(state, () if job.config.filter.method == "bootstrap" else twins, domain)
-
-
-def with_rates(
-    estimate: Estimate,
-    state: FilterState,
-    belief: Belief | None,
-    job: FrameJob,
-    domain: Domain,
-    twins: Sequence[Symmetry],
-) -> Estimate:
-    """The estimate with the rates of its poses, from the second frame on of a filter that has rates."""
-    if job.state is None or job.config.motion.kind != "constant_velocity":
-        return estimate
-    n_twins = 0 if job.config.filter.method == "bootstrap" else len(twins)
+def with_rates(estimate: Estimate, state: FilterState, belief: Belief | None, domain: Domain) -> Estimate:
+    """The estimate with the rates of its poses."""
     mean, best = (
-        replace(pose, rotation_rate=rotation_rate(state, pose.quaternion, n_twins))
-        for pose in (estimate.mean, estimate.best)
+        replace(pose, rotation_rate=rotation_rate(state, pose.quaternion)) for pose in (estimate.mean, estimate.best)
     )
     if belief is None:
         return replace(estimate, mean=mean, best=best)

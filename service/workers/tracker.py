@@ -8,27 +8,27 @@ from __future__ import annotations
 
 import hashlib
 import time
-import warnings
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpu.errors import DeviceError
+from gpu.errors import DeviceError, DeviceLostError
 from gpu.kernel_cache import KernelCache
 from gpu.mesh import Mesh, MeshError, assemble
 from gpu.reference import silhouette_mask
-from service.errors import ConfigError, MeshFileError, MissingBlobError
+from service.errors import BackendMissingError, ConfigError, MeshFileError, MissingBlobError, ScorerFailedError
 from service.imaging.background import Background, Sky, derive, known_pixels, learn
 from service.imaging.decode import Frame as Image
 from service.imaging.features import feature_spec
+from service.imaging.measurement import measure
 from service.imaging.overlay import draw_overlay, encode_png, for_display
 from service.imaging.own_sky import own_sky
 from service.imaging.split import SplitFrame
 from service.imaging.transfer import linear
 from service.inference.articulation import Articulation, hold, part_transforms
+from service.inference.belief import belief_of
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
 from service.inference.state import Frame, Measurement, PoseEstimate, Poses
@@ -54,19 +54,16 @@ from service.workers.base import (
 )
 from service.workers.cache import Cache
 from service.workers.decoding import Decoder, InPlace
-from service.workers.following import Following, follows_light
-from service.workers.full_frame import camera_window, in_full_frame, in_window, scale_in_window
+from service.workers.following import Following
+from service.workers.full_frame import camera_window, in_full_frame, scale_in_window
 from service.workers.image_checks import require_same, require_size
 from service.workers.machine import describe_machine
-from service.workers.observation import observe, remember
 from service.workers.resident import ResidentSteps
 from service.workers.restoring import check_restored
 from service.workers.scoring import Scorers, TimedScorer
-from service.workers.shading import Shading
 from service.workers.shared_scorer import Opener
-from service.workers.smoothing import belief_after, smooth_pass, with_rates
+from service.workers.smoothing import smooth_pass
 from service.workers.splitting import SplitJob
-from service.workers.sunlit import SunlitBodies
 
 SKIES, SKY_BYTES = 1000, 512 << 20  # kept: every session has its own
 
@@ -87,7 +84,6 @@ class Tracker:
         self._meshes: Cache[Mesh] = Cache(cached_models)
         self._scorers = Scorers(cached_models, opener=opener)
         self._steps = ResidentSteps(cached_models)
-        self._bodies = SunlitBodies(cached_models)
         self._following = Following(cached_models)
         self._skies: Cache[Sky] = Cache(SKIES, weigh=sky_bytes, most_bytes=SKY_BYTES)
         self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
@@ -145,46 +141,32 @@ class Tracker:
         sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
         require_same(image, sky.mean.shape, sky.spec.bits)
         decoded = time.perf_counter()
-        if follows_light(job):
-            try:
-                return self._follow(job, image, sky, began, decoded)
-            except DeviceError as error:
-                if job.config.filter.method == "mixture":
-                    raise
-                warnings.warn(f"{error}; this frame is tracked by its outline", RuntimeWarning, stacklevel=2)
-        memory = job.guide if job.guide is not None else {} if job.state is None else job.state.memory
-        observation = observe(image, sky, in_window(job.config), memory)
-        maps = observation.maps
-        maps.log_ratio.flags.writeable = False
+        if job.config.filter.method == "bootstrap":
+            return self._bootstrap(job, image, sky, began, decoded)
+        return self._follow(job, image, sky, began, decoded)
+
+    def _bootstrap(self, job: FrameJob, image: Image, sky: Sky, began: float, decoded: float) -> FrameReport:
+        """A frame of the published filter."""
+        log_ratio, log_constant = measure(image.image, sky)
+        log_ratio.flags.writeable = False  # scorers know a map again by its identity
         measured = time.perf_counter()
         articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
         mesh = self._mesh(job.model, job.file_type, job.blobs)
         height, width = image.image.shape[:2]
         within = scale_in_window(job.scale_px, job.config.camera)
         domain = Domain(width, height, mesh.radius, articulation, job.config.prior, within)
-        twins = self._held_twins(job, articulation)
-        frame = Frame(job.frame_index, job.time_s, Measurement(maps.log_ratio, maps.log_background))
+        frame = Frame(job.frame_index, job.time_s, Measurement(log_ratio, log_constant))
         chosen = job.config.filter
-        stream = np.array([chosen.seed, job.frame_index], np.uint64)
+        rng = np.random.Generator(np.random.Philox(key=np.array([chosen.seed, job.frame_index], np.uint64)))
         with self._scorers.lend(job.model, chosen.backend, mesh, chosen.particles) as scorer:
-            shade = Shading(self._bodies.of(job.model, mesh), articulation, maps)
-            timed, rng = TimedScorer(scorer, articulation), np.random.Generator(np.random.Philox(key=stream))
+            timed = TimedScorer(scorer, articulation, log_ratio)
             resident = self._steps.of(scorer, job.config, domain)
-            state, estimate = step(rng, job.state, frame, timed, job.config, domain, twins, resident, shade)
+            state, estimate = step(rng, job.state, frame, timed, job.config, domain, resident)
             scored_by, score_s = scorer.name, timed.seconds
             if resident is not None and resident.used:
                 scored_by, score_s = f"{scored_by} (step on the device)", resident.seconds
-        best = estimate.best
-        kept = remember(
-            observation,
-            image,
-            state.memory,
-            state.status in ("acquiring", "tracking"),
-            lambda: draw_silhouette(mesh, articulation, best, (height, width)),
-        )
-        state = replace(state, memory=kept)
-        belief = belief_after(job, state, twins, domain)
-        estimate = in_full_frame(with_rates(estimate, state, belief, job, domain, twins), job.config.camera)
+        belief = belief_of(state, domain)
+        estimate = in_full_frame(estimate, job.config.camera)
         done = time.perf_counter()
         timing = {
             "decode": decoded - began,
@@ -196,12 +178,16 @@ class Tracker:
         return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scored_by, belief)
 
     def _follow(self, job: FrameJob, image: Image, sky: Sky, began: float, decoded: float) -> FrameReport:
-        """A frame of the filter that follows the light."""
+        """A frame of the filter that follows the light. Raises ``BackendMissingError``, ``ScorerFailedError``."""
         articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
-        mesh = self._mesh(job.model, job.file_type, job.blobs)
-        state, estimate, belief = self._following.track(
-            job, image, sky, mesh, articulation, self._held_twins(job, articulation)
-        )
+        mesh, twins = self._mesh(job.model, job.file_type, job.blobs), self._held_twins(job, articulation)
+        try:
+            state, estimate, belief = self._following.track(job, image, sky, mesh, articulation, twins)
+        except DeviceLostError as error:
+            self._following.close()  # what it kept was on that device
+            raise ScorerFailedError(str(error)) from error
+        except DeviceError as error:
+            raise BackendMissingError(f"{error}; a CPU is one with PoCL (pocl-opencl-icd)", field="filter") from error
         done = time.perf_counter()
         timing = {
             "decode": decoded - began,
@@ -250,7 +236,6 @@ class Tracker:
         """Release the device and the decoder."""
         self._decoder.close()
         self._steps.close()
-        self._bodies.close()
         self._following.close()
         self._scorers.close()
         self._meshes.clear()
@@ -297,4 +282,4 @@ def _sky(config: SessionConfig, blob: bytes) -> Sky:
 
 def sky_bytes(sky: Sky) -> int:
     """Memory that a sky takes."""
-    return sky.mean.nbytes + sky.known.nbytes + sky.log_density.nbytes
+    return sky.mean.nbytes + sky.log_density.nbytes

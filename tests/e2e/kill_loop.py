@@ -29,7 +29,7 @@ from passes import PNG, begin, box_pass, comparable  # noqa: E402
 from server_process import Server  # noqa: E402
 
 VICTIMS = (("web",), ("worker",), ("web", "worker"), ("decoder",))
-SMALL = {"filter": {"particles": 100, "acquisition_particles": 200, "seed": 3}}
+SMALL = {"filter": {"particles": 100, "seed": 3}}
 
 
 @dataclass

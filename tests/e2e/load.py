@@ -27,7 +27,7 @@ from passes import PNG, Pass, box_pass  # noqa: E402
 from server_process import Server  # noqa: E402
 from soak import Soak  # noqa: E402
 
-SMALL = {"filter": {"particles": 300, "acquisition_particles": 500}}
+SMALL = {"filter": {"particles": 300}}
 FAIR_WITHIN = 0.20
 REFUSED_WITHIN_S = 0.1
 SLOWER_BY = 3.0

@@ -98,7 +98,7 @@ FRAMES = {
 
 async def test_bad_frames_leave_the_session_as_it_was(api):
     model_id = (await api.http.post("/v1/models", files={"file": ("box.stl", GIVEN.mesh)})).json()["model_id"]
-    small = {"particles": 100, "acquisition_particles": 200}
+    small = {"particles": 100}
     body = {"model_id": model_id, "filter": small}
     session_id = (await api.http.post("/v1/sessions", json=body)).json()["session_id"]
     here = f"/v1/sessions/{session_id}"

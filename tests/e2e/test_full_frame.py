@@ -14,7 +14,7 @@ from service.workers.codec import encode
 from service.workers.tracker import Tracker, content_key
 
 GIVEN = box_pass(3, 48)
-SMALL = {"filter": {"particles": 150, "acquisition_particles": 300}}
+SMALL = {"filter": {"particles": 150}}
 ROI, BINNING = [10, 6, 97, 96], 2  # 97: one column is left over
 
 

@@ -23,12 +23,7 @@ from service.client import Client
 
 SIZE = 48
 GIVEN = box_pass(2, SIZE)
-SMALL = {
-    "method": "importance",
-    "particles": 100,
-    "acquisition_particles": 200,
-    "seed": 5,
-}
+SMALL = {"particles": 100, "seed": 5}
 TIME = "2026-11-20T03:04:05.500"
 
 

@@ -97,7 +97,7 @@ def kill(target: Server, victims: tuple[str, ...], delay_s: float) -> None:
 def test_tracker_restarted_in_the_middle_of_a_pass_gives_the_same_answers(server):
     """Restart equals no restart, bit for bit, with the real tracker."""
     given = box_pass(4)
-    small = {"filter": {"particles": 200, "acquisition_particles": 300, "seed": 3}}
+    small = {"filter": {"particles": 200, "seed": 3}}
     target = server("real")
     expected = track(target, given, **small)
     with httpx.Client(base_url=target.url, timeout=120) as http:

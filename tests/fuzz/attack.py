@@ -12,7 +12,7 @@ import httpx
 from tests.fuzz.mutate import forge, spoil, spoil_json
 from tests.fuzz.seeds import Seed, encoded, grey, image_seeds, json_seeds, mesh_seeds, video_seeds
 
-SMALL = {"filter": {"particles": 60, "acquisition_particles": 100}}
+SMALL = {"filter": {"particles": 60}}
 PNG = {"Content-Type": "image/png"}
 SCRATCH_FOR = 200  # attacks until the session that takes spoilt images is a new one
 EXPORTS = ("aem", "apm", "stk", "czml", "csv", "npz")

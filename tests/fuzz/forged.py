@@ -21,7 +21,7 @@ from service.workers.inline import InlineTransport
 from service.workers.tracker import Tracker
 from tests.fuzz.mutate import forge
 
-CONFIG = {"filter": {"particles": 60, "acquisition_particles": 100}}
+CONFIG = {"filter": {"particles": 60}}
 GIVEN = box_pass(5, size=32)
 CUBE = trimesh.creation.box((1.0, 1.0, 1.0)).export(file_type="stl")
 EXPORTS = ("aem", "apm", "stk", "czml", "csv", "npz")

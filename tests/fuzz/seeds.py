@@ -140,7 +140,7 @@ def json_seeds() -> list[bytes]:
         "model_id": "MODEL",
         "name": "x",
         "filter": {"preset": "balanced", "particles": 100, "seed": 3},
-        "likelihood": {"kind": "contrast"},
+        "likelihood": {"feature": "intensity"},
         "prior": {},
         "motion": {"kind": "constant_velocity", "frame_interval_s": 0.1},
         "camera": {"mirrored": False, "pixel_scale_arcsec": 0.2},

@@ -15,7 +15,7 @@ from gpu.step import GROUP
 from service.inference.articulation import part_transforms
 from service.inference.estimate import mean_pose, spread
 from service.inference.motion import diffusion
-from service.inference.params import FilterParams, LikelihoodParams, MotionParams, SessionConfig
+from service.inference.params import FilterParams, MotionParams, SessionConfig
 from service.inference.pose import angle_between, local
 from service.inference.state import FilterState, Frame, Measurement
 from service.inference.step import bootstrap_update
@@ -205,7 +205,6 @@ def test_a_step_has_the_law_of_the_numpy_step(case, resampler):
     motion = MotionParams(kind="jitter", rotation_deg=10.0, joint_deg=20.0)
     config = SessionConfig(
         FilterParams(method="bootstrap", particles=count, resampler=resampler),
-        LikelihoodParams(exponent=exponent),
         motion=motion,
     )
     start = case.prior(count)
@@ -214,7 +213,7 @@ def test_a_step_has_the_law_of_the_numpy_step(case, resampler):
     frame = Frame(1, 1.0, Measurement(values, 0.0))
 
     def score(poses):
-        return case.scorer.score(part_transforms(case.domain.articulation, poses), values)
+        return exponent * case.scorer.score(part_transforms(case.domain.articulation, poses), values)
 
     host = bootstrap_update(np.random.default_rng(6), state, frame, score, config, case.domain)
     jitter = diffusion(motion, case.domain)

@@ -14,7 +14,7 @@ import resource
 import numpy as np
 from gpu_cases import a_map
 from step_cases import Case, particles_of, poses_of
-from service.inference.params import FilterParams, LikelihoodParams, SessionConfig
+from service.inference.params import FilterParams, SessionConfig
 from service.inference.state import FilterState, Frame, Measurement
 from service.inference.step import step
 from service.inference.weights import normalise
@@ -30,8 +30,8 @@ found = case.step.download(particles)
 assert abs(np.exp(found.log_weights).sum() - 1) < 1e-4
 
 state = FilterState(poses_of(found), normalise(found.log_weights)[0], np.zeros((n, 8)), 0, 0.0, "tracking")
-config = SessionConfig(FilterParams(method="bootstrap", particles=n, step="host"), LikelihoodParams(exponent=0.3))
-frame, score = Frame(1, 0.1, Measurement(values, 0.0)), TimedScorer(case.scorer, case.domain.articulation)
+config = SessionConfig(FilterParams(method="bootstrap", particles=n, step="host"))
+frame, score = Frame(1, 0.1, Measurement(values, 0.0)), TimedScorer(case.scorer, case.domain.articulation, values)
 state, estimate = step(np.random.default_rng(0), state, frame, score, config, case.domain)
 assert 1 < estimate.ess < n, estimate
 print(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

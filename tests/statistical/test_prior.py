@@ -1,17 +1,15 @@
-"""The uniform prior and the coverings of SO(3), by their moments and their distributions (fixed seeds).
+"""The uniform prior by its moments and its distributions (fixed seeds).
 
 Bounds are at a level of 1e-5 or five standard errors: a right implementation fails for one seed in some 10^5.
 """
 
 import numpy as np
-import pytest
 from scipy import stats
 
 from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.domain import Domain, sample_prior
 from service.inference.params import PriorParams
 from service.inference.pose import angle_between, rotation_matrices
-from service.inference.rotations import random_rotations, spread_rotations
 
 LEVEL = 1e-5
 COUNT = 40_000
@@ -54,33 +52,3 @@ def test_euler_angles_of_the_prior_are_not_uniform():
     sine = -rotation_matrices(poses.quaternion)[:, 2, 0]
     assert stats.kstest(sine, stats.uniform(-1, 2).cdf).pvalue > LEVEL
     assert stats.kstest(np.arcsin(sine), stats.uniform(-np.pi / 2, np.pi).cdf).pvalue < 1e-50
-
-
-def test_random_rotations_are_uniform():
-    check_uniform_on_so3(random_rotations(np.random.Generator(np.random.Philox(9)), COUNT))
-
-
-def test_each_member_of_the_spread_is_uniform_over_the_random_turn():
-    rng = np.random.Generator(np.random.Philox(10))
-    check_uniform_on_so3(np.array([spread_rotations(rng, 30)[17] for _ in range(20_000)]))
-
-
-@pytest.mark.parametrize("count", [300, 3000])
-def test_the_spread_covers_more_evenly_than_chance(count):
-    """The largest hole, and the closest pair, against independent draws; the mean of the matrices is nearly zero."""
-    rng = np.random.Generator(np.random.Philox(11))
-    probes = random_rotations(rng, 2000)
-
-    def hole(q: np.ndarray) -> float:
-        return float(2 * np.arccos(np.minimum(1, np.abs(probes @ q.T).max(axis=1).min())))
-
-    def closest(q: np.ndarray) -> float:
-        overlap = np.abs(q @ q.T)
-        np.fill_diagonal(overlap, 0)
-        return float(2 * np.arccos(min(1.0, overlap.max())))
-
-    spread, chance = spread_rotations(rng, count), random_rotations(rng, count)
-    assert hole(spread) < 0.8 * hole(chance)
-    assert closest(spread) > 3 * closest(chance)
-    moments = [np.abs(rotation_matrices(q).mean(axis=0)).max() for q in (spread, chance)]
-    assert moments[0] < 0.3 * moments[1]

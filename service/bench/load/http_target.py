@@ -54,7 +54,7 @@ class HttpTarget:
             "model_id": self._model,
             "name": "bench load",
             "joints": {"free": list(self._scene.joints)},
-            "filter": {"method": "importance", "particles": particles, "seed": seed},
+            "filter": {"particles": particles, "seed": seed},
         }
         session = str(_good(await self._http.post("/v1/sessions", json=body)).json()["session_id"])
         self._sessions.append(session)

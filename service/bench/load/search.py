@@ -9,9 +9,9 @@ from functools import partial
 from service.bench.load.clients import Client, Target, send, warm
 from service.bench.load.cost import Meter, cost_per_frame
 from service.bench.load.plan import LoadPlan, LoadRow
-from service.inference.tracking import RENEW_FRAMES
 
 Hear = Callable[[LoadRow], None]
+_APART = 10  # frames: a track is searched anew in some of them, and not all at once
 _FINE = 8  # the capacity is known to one part in so many
 
 
@@ -40,7 +40,7 @@ class Fleet:
         """The first ``n`` of them; those that are missing begin now."""
         while len(self._clients) < n:
             client = Client(await self._target.begin(self.particles, len(self._clients)))
-            await warm(self._target, client, self._warm_frames + len(self._clients) % RENEW_FRAMES)
+            await warm(self._target, client, self._warm_frames + len(self._clients) % _APART)
             self._clients.append(client)
         return self._clients[:n]
 

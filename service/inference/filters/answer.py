@@ -70,10 +70,10 @@ def estimate_of(
     status: str,
     domain: Domain,
     probabilities: Array,
-    log_evidence: float,
+    evidence: tuple[float, float],
     fit: Goodness | None,
 ) -> Estimate:
-    """What a frame's answer holds."""
+    """What a frame's answer holds. ``evidence``: log evidence of the best mode's frame, and of the body's."""
     count = len(particles)
     weights = np.full(count, 1 / count)
     mean = domain.wrap(mean_pose(particles, weights, domain.wrapping))
@@ -85,12 +85,12 @@ def estimate_of(
         status=status,
         mean=report(mean),
         best=modes[0].pose,
-        best_log_likelihood=log_evidence,
+        best_log_likelihood=evidence[0],
         spread=modes[0].spread,
         modes=tuple(modes),
         n_particles=count,
         ess=float(count),
-        log_evidence=log_evidence,
+        log_evidence=evidence[1],
         spread_all=spread(particles, weights, mean, domain.wrapping),
         probabilities=probabilities,
         fit=fit,

@@ -77,4 +77,5 @@ class Updated:
     nuisance: Nuisance
     log_chi2: Array  # (2,)
     log_light: float
+    log_evidence: float  # of this body against the empty sky, by the power that evidence between hypotheses counts
     is_new: bool  # whether the leader was born now

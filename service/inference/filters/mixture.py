@@ -189,7 +189,8 @@ def concluded(
     status = status_of(after, given.twins, given.domain)
     best = updated.refined[int(np.argmax(updated.log_weights))]
     fit = existence.goodness(hill, best.fit)
-    estimate = estimate_of(rng, after, poses, status, given.domain, told_existence(after), best.fit.log_evidence, fit)
+    evidence = best.fit.log_evidence, updated.log_evidence
+    estimate = estimate_of(rng, after, poses, status, given.domain, told_existence(after), evidence, fit)
     count = len(poses)
     even = np.full(count, -np.log(count))
     return FilterState(poses, even, rates, given.index, given.time_s, status, {}, after), estimate

@@ -67,7 +67,9 @@ def weigh(
         planes, afresh = planes_of(best.one, hill), best.one.fit.log_evidence
     light = existence.log_light(hill, best.one.fit)
     known = existence.usual_chi2() if before is None else before.log_chi2
-    probabilities = hypotheses(best, afresh, hill, planes, nuisance, light, known, ahead, before)
+    explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance)
+    absent = existence.log_absent(hill)
+    probabilities = hypotheses(best, afresh, absent, hill, planes, nuisance, light, known, ahead, before)
     fits = float(probabilities[existence.FITS])
     return Updated(
         refined=[mode.one for mode in modes],
@@ -79,6 +81,7 @@ def weigh(
         nuisance=nudged(hill, planes, best.one.fit.log_evidence, nuisance, given.index, best.paint),
         log_chi2=existence.usual_chi2(known, best.one.fit.chi2, fits),
         log_light=light,
+        log_evidence=prior.EVIDENCE_TRUST * (explained - absent),
         is_new=lead_number >= len(refined),
     )
 
@@ -117,6 +120,7 @@ def born(one: Refined, level: float | None, siblings: int, noise: MotionNoise, d
 def hypotheses(
     best: Weighed,
     afresh: float,
+    absent: float,
     hill: Hill,
     planes: Images,
     nuisance: Nuisance,
@@ -127,17 +131,15 @@ def hypotheses(
 ) -> Array:
     """(3,) probabilities of ``model.existence``, as if the truth were among the modes.
 
-    ``afresh``: the log evidence of the best mode, were its paint unknown. Light that asks for other paint than the
-    body has is explained by something that is between, or by another body.
+    ``afresh``: the log evidence of the best mode, were its paint unknown; ``absent``: that of the sky alone. Light that
+    asks for other paint than the body has is explained by something that is between, or by another body.
     """
     start = existence.expected(None, 0.0) if ahead is None else ahead.existence
     fit = best.one.fit
     usual = log_prior(nuisance) + existence.log_of_change(None if before is None else before.log_light, light)
     fits, other_paint = (log + best.occam + usual for log in (fit.log_evidence, afresh))
     unlike = existence.log_unlike(hill, planes) + best.occam
-    logs = np.log(np.maximum(start, 1e-9)) + np.array(
-        [existence.log_absent(hill), fits, max(fits, unlike, other_paint)]
-    )
+    logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, unlike, other_paint)])
     logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(fit.chi2, usual_chi2)
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
 

@@ -41,6 +41,7 @@ PAINT_DRIFT = 0.05  # of log albedo, per frame: median change 0.04 between frame
 PAINT_DOUBTED = 0.9  # of what is known of paint stays in a frame that more likely is not of it
 EVIDENCE_KEPT = 0.7  # of what earlier frames say of one mode against another, likewise
 BIRTH = 0.1  # probability that the truth is not among the modes when a search is made
+NEWCOMER = 0.01  # probability that a mode was not among those of the frame before: a birth, and one frame in ten
 GAIN_SIGMA = 2.0  # of log gain about what the frame's light suggests: as good as flat
 
 

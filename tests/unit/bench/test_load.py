@@ -104,7 +104,7 @@ def test_sessions_stay_from_one_measurement_to_the_next_and_their_frames_are_in_
 
 
 def test_sessions_are_not_in_step():
-    """Every tenth frame of a session searches the whole space."""
+    """Some frames of a session search the whole space, and take longest."""
     clients = virtually(Fleet(Queue(4, 0.01), 100, 4).grow(20))
     assert sorted(client.next_index % 10 for client in clients) == sorted([*range(10)] * 2)
 
@@ -238,7 +238,7 @@ def test_sqlite_counts_rows_and_pages_in_use(tmp_path):
 
 
 def test_a_real_service_is_measured(tmp_path):
-    small = ["--particles", "60", "--size", "64x64", "--rate", "4", "--seconds", "1", "--most-sessions", "1"]
+    small = ["--particles", "60", "--size", "64x64", "--rate", "0.2", "--seconds", "5", "--most-sessions", "1"]
     out = tmp_path / "rows.json"
     result = CliRunner().invoke(app, ["bench", "load", *small, "--bound-ms", "60000", "--json", str(out)], env=WIDE)
     assert result.exit_code == 0, result.output

@@ -81,14 +81,7 @@ def test_the_command_follows_spoilt_passes(satellite, scenario, tmp_path):
     write_sequence(SimulatedPass(satellite.mesh, satellite.articulation, scenario), tmp_path / "one", "demo.glb",
                    satellite.data)  # fmt: skip
     out = tmp_path / "out.json"
-    few = [
-        "--set",
-        "filter.particles=60",
-        "--set",
-        "filter.acquisition_particles=200",
-        "--set",
-        "filter.method=importance",
-    ]
+    few = ["--set", "filter.preset=paper", "--set", "filter.particles=60"]
     done = CliRunner().invoke(app, ["bench", "misfits", str(tmp_path), "--kind", "mirror", "--json", str(out), *few])
     assert done.exit_code == 0, done.output
     (row,) = json.loads(out.read_text())["rows"]

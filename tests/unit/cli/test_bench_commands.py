@@ -6,14 +6,15 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from service.bench.ablation import VARIANTS
+from service.bench.ablation import VARIANTS, altered
 from service.bench.report import CASE_COLUMNS
 from service.cli import app
 from service.cli.bench_run import entries_of, read_settings, variant_entries
+from service.inference.model import prior
 
 RUNNER = CliRunner()
 WIDE = {"COLUMNS": "200", "TERM": "dumb"}
-SMALL = ["--frames", "2", "--size", "64x64", "--set", "filter.particles=30", "--set", "filter.acquisition_particles=60"]
+SMALL = ["--frames", "2", "--size", "64x64", "--set", "filter.particles=30"]
 CONTRACT = ("preset", "case", "err1", "err5", "err10", "err_med", "err_p95", "within5", "modes5", "pos_med")
 CONTRACT += ("scale_med", "joint_med", "iou_med", "ms_med")
 
@@ -57,7 +58,7 @@ def test_variants_stand_beside_the_default(tmp_path):
     assert result.exit_code == 0, result.output
     document = json.loads((tmp_path / "rows.json").read_text())
     assert [(row["preset"], row["says"]) for row in document["overall"]] == [
-        ("default", "nothing switched off"),
+        ("default", "nothing left out"),
         ("paper", "the published method"),
     ]
 
@@ -87,20 +88,30 @@ def test_a_report_without_matplotlib_is_refused_before_the_work(monkeypatch, tmp
 
 
 def test_settings_reach_every_session_and_variants_win():
-    assert read_settings(["filter.seed=3", "likelihood.kind=histogram"]) == {
+    assert read_settings(["filter.seed=3", "likelihood.feature=gradient"]) == {
         "filter": {"seed": 3},
-        "likelihood": {"kind": "histogram"},
+        "likelihood": {"feature": "gradient"},
     }
     for entry in entries_of(["balanced", "paper"], ["filter.seed=3"]):
         assert (entry.config.filter.preset, entry.config.filter.seed) == (entry.name, 3)
-    found = {entry.name: entry for entry in variant_entries((), ["filter.acquisition_particles=400"])}
+    found = {entry.name: entry for entry in variant_entries((), ["camera.psf_sigma_px=2"])}
     assert list(found) == [variant.name for variant in VARIANTS]
-    starts = [found[name].config.filter.acquisition_particles for name in ("default", "starts")]
-    assert starts == [400, 600]
+    assert [found[name].config.camera.psf_sigma_px for name in ("default", "psf")] == [2.0, 0.3]
     assert found["paper"].config.filter.particles == 3000
     assert not found["twins"].twins
-    changed = [entry for entry in found.values() if (entry.config, entry.twins) != (found["default"].config, True)]
+    changed = [
+        one for one in found.values() if (one.config, one.twins, one.priors) != (found["default"].config, True, {})
+    ]
     assert len(changed) == len(VARIANTS) - 1
+
+
+def test_a_variants_priors_hold_while_its_frames_are_tracked():
+    before = {name: getattr(prior, name) for variant in VARIANTS for name in variant.priors}
+    for variant in VARIANTS:
+        with pytest.raises(ZeroDivisionError), altered(variant.priors):
+            assert {name: getattr(prior, name) for name in variant.priors} == variant.priors
+            raise ZeroDivisionError
+    assert {name: getattr(prior, name) for name in before} == before
 
 
 def test_every_variant_and_column_is_documented(root):

@@ -9,7 +9,6 @@ from gpu.mesh import Mesh, assemble
 from gpu.raw_part import RawPart
 from gpu.reference import reference_scores
 from service.inference.articulation import Articulation, part_transforms
-from service.inference.pose import rotation_matrices
 from service.inference.state import Poses
 
 
@@ -29,37 +28,10 @@ def rigid() -> Articulation:
 
 
 @pytest.fixture(scope="session")
-def score_maps(block, rigid) -> Callable[[Poses, np.ndarray], np.ndarray]:
-    """``score_maps`` of ``step`` by the reference scorer."""
+def score_of(block, rigid) -> Callable[[np.ndarray], Callable[[Poses], np.ndarray]]:
+    """From a map (H, W) to ``score`` of ``step``, by the reference scorer."""
 
-    def score(poses: Poses, maps: np.ndarray) -> np.ndarray:
-        return reference_scores(block, part_transforms(rigid, poses), maps)
+    def of(log_ratio: np.ndarray) -> Callable[[Poses], np.ndarray]:
+        return lambda poses: reference_scores(block, part_transforms(rigid, poses), log_ratio[None])[:, 0]
 
-    return score
-
-
-HALF_EDGES = np.diag([1.0, 0.6, 0.3])
-
-
-@pytest.fixture(scope="session")
-def quick_score_maps() -> Callable[[Poses, np.ndarray], np.ndarray]:
-    """The same for many poses at once: the outline of a box is a zonogon.
-
-    A point lies in it where, for the projection of every edge direction e, its distance from the line along e
-    through the centre is at most that of the other half edges together.
-    """
-
-    def score(poses: Poses, maps: np.ndarray) -> np.ndarray:
-        height, width = maps.shape[1:]
-        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        edges = np.exp(poses.log_scale)[:, None, None] * (HALF_EDGES @ rotation_matrices(poses.quaternion).mT)
-        inside = np.ones((len(poses), height * width), bool)
-        for i in range(3):
-            normal = np.stack([-edges[:, i, 1], edges[:, i, 0]], axis=1)
-            reach = np.abs(np.einsum("nij,nj->ni", edges[:, :, :2], normal)).sum(axis=1)
-            centre = np.sum(normal * poses.position, axis=1)
-            distance = normal[:, :1] * x.ravel() + normal[:, 1:] * y.ravel() - centre[:, None]
-            inside &= np.abs(distance) <= reach[:, None]
-        return inside @ maps.reshape(len(maps), -1).T.astype(np.float64)
-
-    return score
+    return of

@@ -14,7 +14,7 @@ from service.inference.pose import angle_between, exp_so3, local, log_so3, retra
 from service.inference.smoothed import summarise_belief
 from service.inference.smoother import Gaussian, Space, alike, modes_of, predict, right_jacobian, smooth
 from service.inference.state import FilterState, Poses
-from service.inference.symmetry import Symmetry, twin, unfold
+from service.inference.symmetry import Symmetry, twin
 
 PANEL = Joint("panel", "revolute", 0, 360, 0.0, (Stage("revolute", ("panel",), (0, 0, 1)),))
 DOMAIN = Domain(64, 64, 4.0, Articulation(("bus", "panel"), (PANEL,)), PriorParams())
@@ -212,10 +212,10 @@ def cloud(n: int = 4000) -> tuple[Poses, np.ndarray]:
 
 
 def test_particles_become_the_belief_they_came_from():
-    """Spread over twins and back; the joint's values lie on both sides of the end of its range."""
-    poses, rates = unfold(*cloud(), (MIRROR,), DOMAIN)
+    """The joint's values lie on both sides of the end of its range."""
+    poses, rates = cloud()
     weights = np.full(len(poses), -np.log(len(poses)))
-    found = belief_of(FilterState(poses, weights, rates, 0, 0.0, "tracking", {}), (MIRROR,), DOMAIN)
+    found = belief_of(FilterState(poses, weights, rates, 0, 0.0, "tracking"), DOMAIN)
     assert len(found) == 1
     scale = np.sqrt(np.diag(SMALL))
     np.testing.assert_allclose(found.covariance[0] / np.outer(scale, scale), np.eye(2 * D), atol=0.1)
@@ -232,6 +232,5 @@ def test_particles_become_the_belief_they_came_from():
 def test_nothing_is_believed_before_anything_was_seen():
     poses, rates = cloud(50)
     weights = np.full(50, -np.log(50))
-    state = FilterState(poses, weights, rates, 0, 0.0, "no_target", {})
-    assert belief_of(state, (), DOMAIN) is None
-    assert belief_of(replace(state, memory={"age": np.array(4.0)}), (), DOMAIN) is not None
+    state = FilterState(poses, weights, rates, 0, 0.0, "no_target")
+    assert belief_of(state, DOMAIN) is None

@@ -31,7 +31,7 @@ class DemoPass:
         self.frames = [encode_png(image) for image in simulated.frames()]
 
     def job(self, backend, index=0, state=None, **choices):
-        choices = {"particles": 100, "acquisition_particles": 200, "method": "bootstrap", **choices}
+        choices = {"particles": 100, "method": "bootstrap", **choices}
         config = SessionConfig(FilterParams(backend=backend, **choices), joints=JointParams(free="all"))
         model, background = self.blobs
         where = config, model, "glb", self.report.articulation, background, state, index, 0.1 * index

@@ -98,11 +98,11 @@ def test_the_default_is_the_device_where_it_pays(demo, tracker, monkeypatch):
     assert not chosen(particles=4_999)
     assert not chosen(step="host")
     assert not chosen(resampler="residual")
-    assert not chosen(method="importance")
+    assert not chosen(method="mixture")
     assert chosen(particles=10, step="device")
 
 
-@pytest.mark.parametrize("choices", [{"method": "importance"}, {"method": "bootstrap", "resampler": "residual"}])
+@pytest.mark.parametrize("choices", [{"method": "mixture"}, {"method": "bootstrap", "resampler": "residual"}])
 def test_what_the_device_cannot_step_is_refused(choices):
     with pytest.raises(ValueError, match="step device"):
         FilterParams(step="device", **choices)

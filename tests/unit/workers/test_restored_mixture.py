@@ -37,7 +37,7 @@ def state(mixture: Mixture) -> FilterState:
 
 
 def test_modes_as_the_filter_keeps_them_are_taken():
-    check_state(state(MIXTURE), 1, 1)
+    check_state(state(MIXTURE), 1)
 
 
 @pytest.mark.parametrize(
@@ -71,4 +71,4 @@ def test_modes_as_the_filter_keeps_them_are_taken():
 )
 def test_modes_that_are_none_are_refused(broken):
     with pytest.raises(ValueError, match="mixture"):
-        check_state(state(replace(MIXTURE, **broken)), 1, 1)
+        check_state(state(replace(MIXTURE, **broken)), 1)
