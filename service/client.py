@@ -30,7 +30,7 @@ from service.remote.events import Cursor, Event
 from service.remote.options import FrameFacts, Region, Sections, StreamKind, http_options
 from service.remote.retries import Retries
 
-__all__ = ["AsyncClient", "Client", "ClientError", "Event", "RefusedError", "Retries", "UnexpectedError"]
+__all__ = ["AsyncClient", "Client", "ClientError", "Event", "FrameFacts", "RefusedError", "Retries", "UnexpectedError"]
 T = TypeVar("T")
 
 
