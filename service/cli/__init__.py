@@ -12,6 +12,7 @@ from service.cli.ingest import ingest
 from service.cli.keys import keys
 from service.cli.model import model
 from service.cli.openapi import openapi
+from service.cli.plot import plot
 from service.cli.serve import serve
 from service.cli.sessions import sessions
 from service.cli.simulate import simulate
@@ -27,6 +28,7 @@ app.command()(doctor)
 app.command()(ingest)
 app.command()(export)
 app.command()(openapi)
+app.command()(plot)
 app.add_typer(bench)
 app.add_typer(keys)
 app.add_typer(model)
