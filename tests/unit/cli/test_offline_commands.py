@@ -86,9 +86,25 @@ def test_track_writes_estimates_and_a_sheet(folder, tmp_path):
 
 def test_without_empty_frames_the_sky_is_that_around_the_body(folder, tmp_path):
     arguments = ["track", "--mesh", "demo", "--frames", str(folder / "frames"), "--out", str(tmp_path)]
-    assert RUNNER.invoke(app, [*arguments, "--preset", "paper", "--particles", "50"]).exit_code == 0
+    elsewhere = {"SKYPOSE_DATABASE_URL": "postgresql+psycopg://nobody@127.0.0.1:1/none"}  # of another service
+    told = RUNNER.invoke(app, [*arguments, "--preset", "paper", "--particles", "50"], env=elsewhere)
+    assert told.exit_code == 0, told.output
     lines = [json.loads(line) for line in (tmp_path / "estimates.jsonl").read_text().splitlines()]
     assert [line["assumed"] for line in lines] == [["background", "time"]] * 3
+
+
+def test_a_file_of_several_frames_is_posted_whole(folder, tmp_path):
+    frames = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((folder / "frames").iterdir())]
+    np.save(tmp_path / "stack.npy", np.stack(frames))
+    arguments = ["track", "--mesh", "demo", "--frames", str(tmp_path / "stack.npy"), "--out", str(tmp_path / "out")]
+    arguments += ["--start", "2026-11-20T03:04:05Z", "--interval", "0.5", "--preset", "paper", "--particles", "50"]
+    told = RUNNER.invoke(app, arguments)
+    assert told.exit_code == 0 and "no attitude.aem" in told.output, told.output
+    with (tmp_path / "out" / "estimates.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == [f"stack.npy#{k}" for k in range(3)]
+    assert [row["time"] for row in rows] == [f"2026-11-20T03:04:{second}Z" for second in ("05.000", "05.500", "06.000")]
+    assert cv2.imread(str(tmp_path / "out" / "contact_sheet.png")).shape[0] > 2 * 256
 
 
 TLE = (
