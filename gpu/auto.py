@@ -6,9 +6,6 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gpu.errors import DeviceError, DeviceLostError
 from gpu.looping import Floats, LoopingScorer, Map, Transforms
 
@@ -48,10 +45,6 @@ class AutoScorer(LoopingScorer):
     def score_many(self, part_transforms: Transforms, maps: Map) -> Floats:
         """See ``Scorer.score_many``."""
         return self._ask(lambda scorer: scorer.score_many(part_transforms, maps))
-
-    def score_shifts(self, part_transforms: Transforms, log_ratio: Map, shifts: NDArray[np.integer]) -> Floats:
-        """See ``Scorer.score_shifts``."""
-        return self._ask(lambda scorer: scorer.score_shifts(part_transforms, log_ratio, shifts))
 
     def close(self) -> None:
         """Release all devices."""

@@ -1,4 +1,4 @@
-"""What a scorer that can only do one map at a time makes of several maps, and of shifts."""
+"""What a scorer that can only do one map at a time makes of several maps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Map = NDArray[np.float32]
 
 
 class LoopingScorer(ABC):
-    """Asks ``score`` again for every map and every shift."""
+    """Asks ``score`` again for every map."""
 
     name: str
 
@@ -24,15 +24,6 @@ class LoopingScorer(ABC):
     def score_many(self, part_transforms: Transforms, maps: Map) -> Floats:
         """(N, P, 3, 4) transforms, (K, H, W) maps -> (N, K) sums."""
         return np.stack([self.score(part_transforms, one) for one in maps], axis=1)
-
-    def score_shifts(self, part_transforms: Transforms, log_ratio: Map, shifts: NDArray[np.integer]) -> Floats:
-        """(N, P, 3, 4), (H, W), (S, 2) whole pixels dx, dy -> (N, S) sums under the shifted silhouettes."""
-        scores = np.empty((len(part_transforms), len(shifts)))
-        for k, shift in enumerate(shifts):
-            moved = part_transforms.copy()
-            moved[:, :, :2, 3] += shift
-            scores[:, k] = self.score(moved, log_ratio)
-        return scores
 
     @abstractmethod
     def close(self) -> None:

@@ -11,11 +11,10 @@ from gpu.device import DeviceReport
 from gpu.errors import ImageSizeError, ScorerError
 from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
-from gpu.outline_cpu import CpuOutline, unresolved
+from gpu.outline_cpu import unresolved
 from gpu.outline_kernels import open_kernels
 from gpu.prefix import MapCache, PrefixMaps
 from gpu.program import constant, device_errors
-from gpu.shifts import ShiftGrid
 
 LARGEST_SIDE = 8191  # rows and columns have 13 bits in the kernels
 TRANSFORM_BYTES = 48
@@ -62,19 +61,6 @@ class OutlineScorer(LoopingScorer):
                 self._resolve(transforms, n, prefix, out)
         return out, float(prefix.units[0])
 
-    def score_shifts(self, part_transforms: Transforms, log_ratio: Map, shifts: NDArray[np.integer]) -> Floats:
-        """(N, P, 3, 4) transforms, (H, W) map, (S, 2) whole pixels dx, dy -> (N, S) scores of the shifted silhouettes.
-
-        The work grows with the rectangle around the shifts, and is small for each: 0.03 us or so.
-        """
-        steps = np.asarray(shifts, dtype=np.int64).reshape(-1, 2)
-        transforms = self._checked(part_transforms, log_ratio.shape)
-        if len(steps) == 0 or len(transforms) == 0:
-            return np.zeros((len(transforms), len(steps)))
-        if self._by_item is None:
-            return super().score_shifts(transforms, log_ratio, steps)
-        return self._score_grid(self._by_item, transforms, log_ratio, steps)
-
     def close(self) -> None:
         """Wait for the device."""
         self.queue.finish()
@@ -112,32 +98,6 @@ class OutlineScorer(LoopingScorer):
             cl.enqueue_copy(self.queue, on_host, transforms)
             scores[crowded] = self._score_crowded(on_host[crowded], prefix)
             cl.enqueue_copy(self.queue, out, scores)
-
-    def _score_grid(
-        self, kernel: CpuOutline, transforms: Transforms, log_ratio: Map, steps: NDArray[np.int64]
-    ) -> Floats:
-        grid = ShiftGrid.around(steps)
-        canvas = (log_ratio.shape[0] + 2 * grid.margin, log_ratio.shape[1] + 2 * grid.margin)
-        moved = transforms.copy()
-        moved[:, :, :2, 3] += grid.margin
-        self._checked(moved, canvas)
-        table, unit, first, width = grid.table(log_ratio)
-        picked = np.empty((len(moved), len(steps)), np.int64)
-        size = grid.rows, grid.columns
-        with device_errors(self.name):
-            prefix = constant(self.queue.context, table)
-            for batch in batches(self.queue.device, len(moved), self._each + 8 * grid.rows * grid.columns):
-                scores = np.empty((batch.stop - batch.start, *size), np.int64)
-                out = cl.Buffer(self.queue.context, cl.mem_flags.WRITE_ONLY, scores.nbytes)
-                now = constant(self.queue.context, moved[batch])
-                kernel.score_shifts(now, len(scores), prefix, first, width, size, canvas, out)
-                cl.enqueue_copy(self.queue, scores, out)
-                picked[batch] = grid.pick(scores, steps)
-        result = np.asarray(picked * unit, dtype=np.float64)
-        crowded = unresolved(picked)
-        if len(crowded):
-            result[crowded] = super().score_shifts(transforms[crowded], log_ratio, steps)
-        return result
 
     def _checked(self, part_transforms: Transforms, shape: tuple[int, ...]) -> Transforms:
         transforms = np.ascontiguousarray(part_transforms, dtype=np.float32)

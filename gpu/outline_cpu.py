@@ -47,9 +47,7 @@ class CpuOutline:
 
     def __init__(self, queue: cl.CommandQueue, table: DeviceTable) -> None:
         self._queue, self._table = queue, table
-        program = self._build()
-        self._score = cl.Kernel(program, "score")
-        self._score_shifts = cl.Kernel(program, "score_shifts")
+        self._score = cl.Kernel(self._build(), "score")
         self._score_placed: cl.Kernel | None = None
         self._groups = queue.device.max_compute_units
         self._memory: tuple[tuple[int, int], cl.Buffer, int] | None = None
@@ -76,24 +74,6 @@ class CpuOutline:
         if self._score_placed is None:
             self._score_placed = cl.Kernel(self._build("-DPLACED"), "score")
         self._launch(self._score_placed, *head, places)
-
-    def score_shifts(
-        self,
-        transforms: cl.Buffer,
-        n: int,
-        prefix: cl.Buffer,
-        first: int,
-        prefix_width: int,
-        grid: tuple[int, int],
-        canvas: tuple[int, int],
-        out: cl.Buffer,
-    ) -> None:
-        """Write (n, *grid) int64 scores to ``out``; see the kernel for ``first`` and the table's layout."""
-        memory, each = self._scratch(canvas)
-        numbers = (first, prefix_width, *grid, canvas[1], canvas[0])
-        tail = (out, memory, np.int32(each), zero(self._queue.context))
-        head = (transforms, np.int32(n), *self._table.arguments, prefix)
-        self._launch(self._score_shifts, *head, *(np.int32(v) for v in numbers), *tail)
 
     def _build(self, *more: str) -> cl.Program:
         options = [f"-D{name}={value}" for name, value in CONSTANTS.items()]

@@ -7,7 +7,6 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpu.auto import AutoScorer
 from gpu.device import find_devices, no_device_reason
@@ -40,9 +39,6 @@ class Scorer(Protocol):
 
     def score_many(self, part_transforms: Transforms, maps: Map) -> Floats:
         """(N, P, 3, 4) transforms, (K, H, W) maps -> (N, K) sums."""
-
-    def score_shifts(self, part_transforms: Transforms, log_ratio: Map, shifts: NDArray[np.integer]) -> Floats:
-        """(N, P, 3, 4), (H, W), (S, 2) whole pixels dx, dy -> (N, S) sums under the shifted silhouettes."""
 
     def close(self) -> None:
         """Release the device."""

@@ -162,10 +162,10 @@ def is_own_sky(record: SessionRecord) -> bool:
     return (record.background_info or {}).get("source") == "auto"
 
 
-def assumed_of(config: SessionConfig, frame: FrameIn) -> list[str]:
+def assumed_of(record: SessionRecord, frame: FrameIn) -> list[str]:
     """What nobody told and was taken for granted: see ``schemas.Estimate.assumed``."""
     return [
-        *(["background"] if config.camera.background == "auto" else []),
+        *(["background"] if is_own_sky(record) else []),
         *(["time"] if frame.time is None else []),
     ]
 

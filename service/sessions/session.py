@@ -196,7 +196,7 @@ class Session:
         names = contenders[leader(contenders)].names
         models = ranking(contenders) if len(contenders) > 1 else None
         orbit = None if known.ranged is None else known.ranged.document()
-        session_id, assumed = public_id(self.record.id), assumed_of(self._config, frame)
+        session_id, assumed = public_id(self.record.id), assumed_of(self.record, frame)
         odd = await asyncio.to_thread(warnings_of, report.estimate, moment.utc, self._ranging.site, view, known.ranged)
         document = await asyncio.to_thread(
             estimate_document, session_id, index, text, names, report, view, models, orbit, known.lit, assumed, odd

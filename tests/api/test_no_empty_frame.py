@@ -30,7 +30,7 @@ async def test_what_is_posted_goes_before_what_would_be_learned(api):
     session_id = await api.session(background="auto")
     await api.http.post(f"/v1/sessions/{session_id}/background", content=image(9), headers=PNG)
     for n in range(3):
-        await api.post(session_id, n)
+        assert (await api.post(session_id, n)).json()["assumed"] == ["time"]
     assert (await read(api, session_id))["background_frames"] == 1
 
 

@@ -35,7 +35,6 @@ async def test_preset_lies_under_what_is_sent(api):
     paper = preset_defaults("paper")
     body = (await create(api, filter={"preset": "paper"})).json()
     assert body["filter"]["particles"] == paper["filter"]["particles"]
-    assert body["likelihood"]["kind"] == "histogram"
     body = (await create(api, filter={"preset": "paper", "particles": 9})).json()
     assert (body["filter"]["particles"], body["filter"]["resampler"]) == (9, "multinomial")
 

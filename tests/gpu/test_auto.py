@@ -63,7 +63,6 @@ def test_a_lost_device_is_followed_by_the_next_without_losing_the_frame():
     with pytest.warns(RuntimeWarning, match="first failed: gone; going on with second"):
         assert scorer.score(POSES, MAP).tolist() == [7.0] * 10
     assert scorer.score_many(POSES, MAP[None]).shape == (10, 1)
-    assert scorer.score_shifts(POSES, MAP, np.zeros((3, 2), int)).shape == (10, 3)
 
 
 def test_the_last_device_s_loss_is_an_error():

@@ -7,7 +7,7 @@ from gpu_cases import SHAPE, a_map, box, mesh_of, sphere, transforms
 import gpu.device
 import gpu.scorer
 from gpu.errors import DeviceError, DeviceLostError, ImageSizeError, ScorerError
-from gpu.scorer import BACKENDS, open_scorer
+from gpu.scorer import open_scorer
 
 
 @pytest.fixture
@@ -53,25 +53,6 @@ def test_unknown_backend_is_refused(mesh):
 def test_no_particles(mesh):
     scorer, none = open_scorer(mesh), np.zeros((0, 2, 3, 4), np.float32)
     assert scorer.score(none, a_map(np.random.default_rng(3))).shape == (0,)
-    assert scorer.score_shifts(none, a_map(np.random.default_rng(3)), np.zeros((2, 2), int)).shape == (0, 2)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_a_grid_of_shifts_is_the_silhouette_moved(mesh, poses, backend):
-    try:
-        scorer = open_scorer(mesh, backend=backend)
-    except DeviceError as error:
-        pytest.skip(str(error))
-    poses[..., :2, 3] = np.round(poses[..., :2, 3] * 64) / 64  # so that a whole pixel more is exact in float32
-    values, shifts = a_map(np.random.default_rng(6)), np.array([(0, 0), (7, -3), (-40, 11), (120, 0)])
-    scores = scorer.score_shifts(poses, values, shifts)
-    assert scores.shape == (len(poses), len(shifts))
-    close = 2 * np.abs(values).max() if backend == "opengl" else 0.01  # a pixel on the edge may fall either way
-    for k, shift in enumerate(shifts):
-        moved = poses.copy()
-        moved[..., :2, 3] += shift
-        assert np.allclose(scores[:, k], scorer.score(moved, values), rtol=1e-5, atol=close)
-    scorer.close()
 
 
 def test_wrong_number_of_parts_is_refused(mesh, poses):

@@ -1,4 +1,4 @@
-"""Fixed-point prefix sums, batches and the grid of shifts."""
+"""Fixed-point prefix sums and batches."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import pytest
 from gpu.budget import batch_size, group_count
 from gpu.errors import ScorerError
 from gpu.prefix import fixed_point_prefix
-from gpu.shifts import LANES, ShiftGrid
 
 
 def test_prefix_sums_are_exact_for_small_whole_numbers():
@@ -47,13 +46,3 @@ def test_groups_are_fewer_where_their_memory_would_not_fit():
     assert group_count(10, 8, 1000, 1 << 40, 1 << 40) == 80
     assert group_count(10, 8, 1 << 20, 1 << 27, 1 << 27) == 16
     assert group_count(10, 8, 1 << 40, 1 << 27, 1 << 27) == 1
-
-
-def test_a_grid_of_shifts_holds_them_all():
-    shifts = np.array([(-3, 2), (15, -4), (0, 0)])
-    grid = ShiftGrid.around(shifts)
-    assert grid.first == (-3, -4)
-    assert (grid.rows, grid.columns) == (7, 2 * LANES)
-    assert grid.margin == 15
-    scores = np.arange(grid.rows * grid.columns).reshape(1, grid.rows, grid.columns)
-    assert grid.pick(scores, shifts).tolist() == [[6 * 32, 18, 4 * 32 + 3]]
