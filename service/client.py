@@ -30,7 +30,7 @@ from service.remote.events import Cursor, Event
 from service.remote.options import FrameFacts, Region, Sections, StreamKind, http_options
 from service.remote.retries import Retries
 
-__all__ = ["AsyncClient", "Client", "ClientError", "Event", "RefusedError", "Retries", "UnexpectedError"]
+__all__ = ["AsyncClient", "Client", "ClientError", "Event", "FrameFacts", "RefusedError", "Retries", "UnexpectedError"]
 T = TypeVar("T")
 
 
@@ -188,9 +188,9 @@ class Client:
         """The weighted particles after a frame, the newest by default."""
         return self.call(calls.get_particles(session_id, index))
 
-    def export(self, session_id: str, file_format: str = "csv", **options: str) -> bytes:
+    def export(self, session_id: str, file_format: str = "csv", *, smoothed: bool = False, **options: str) -> bytes:
         """The attitude history as ``aem``, ``apm``, ``stk``, ``czml``, ``csv`` or ``npz``; options: docs/formats.md."""
-        return self.call(calls.get_bytes(f"/v1/sessions/{session_id}/export", format=file_format, **options))
+        return self.call(calls.export(session_id, file_format, smoothed, options))
 
     def checkpoint(self, session_id: str) -> bytes:
         """The whole session as a portable blob."""

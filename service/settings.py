@@ -45,7 +45,7 @@ class Settings(BaseSettings):
     """JSON lines for machines, or text for people."""
 
     engine: Literal["process", "ray"] = "process"
-    """What runs the workers: processes of this machine, or actors of a Ray cluster (extra `skypose[ray]`)."""
+    """What runs the workers: processes of this machine, or actors of a Ray cluster (docs/engines.md)."""
     ray_address: str = ""
     """`HOST:PORT` of the cluster; none: a Ray of its own on this machine, for as long as the service runs."""
     ray_actors: Annotated[int, Field(ge=0)] = 0

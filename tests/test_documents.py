@@ -1,9 +1,15 @@
-"""What a reader meets: short lines, links that lead somewhere, files that are there."""
+"""What a reader meets: short lines, links that lead somewhere, files and names that are there."""
 
+import pkgutil
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
+import yaml
+
+import service
+from service.inference.params import SessionConfig
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -48,3 +54,46 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_files_that_are_named_are_there(page: Path) -> None:
     for name in re.findall(r"`(\w[\w/.-]*/[\w.-]+\.(?:py|cl|js|yaml|md|json))`", page.read_text()):
         assert any((ROOT / room / name).exists() for room in ROOMS), name
+
+
+CODE = ("", "service.", "service.inference.")  # before a name, as pages shorten it
+HEADS = {
+    "service",
+    "gpu",
+    *(
+        found.name
+        for path in (*service.__path__, f"{service.__path__[0]}/inference")
+        for found in pkgutil.iter_modules([path])
+    ),
+}
+SECTIONS = {
+    f"{section.name}.{field.name}"
+    for section in fields(SessionConfig)
+    for field in fields(getattr(SessionConfig(), section.name))
+}
+
+
+def is_there(name: str) -> bool:
+    """Whether a dotted name is a module of ours, something in one, or a field of a session's configuration."""
+    for prefix in CODE:
+        try:
+            pkgutil.resolve_name(prefix + name)
+        except (ImportError, AttributeError):
+            continue
+        return True
+    return name in SECTIONS
+
+
+@pytest.mark.parametrize("page", PAGES[:1] + PAGES[2:], ids=lambda page: str(page.relative_to(ROOT)))
+def test_names_of_the_code_resolve(page: Path) -> None:
+    dotted = re.findall(r"`([a-z]\w*(?:\.\w+)+)(?:\([^`]*\))?`", prose(page.read_text()))
+    ours = [
+        name for name in dotted if name.split(".")[0] in HEADS and not name.endswith((".py", ".json", ".js", ".aem"))
+    ]
+    assert [name for name in ours if not is_there(name)] == []
+
+
+def test_the_citation_is_of_this_release() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert f'version = "{cited["version"]}"' in (ROOT / "pyproject.toml").read_text()
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)

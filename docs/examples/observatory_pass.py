@@ -1,6 +1,7 @@
 """A pass as an observatory's scheduler would run it: one task posts frames, another watches the stream.
 
     python observatory_pass.py MESH BACKGROUND_FOLDER FRAMES_FOLDER --start 2026-11-20T03:04:05Z --interval 0.1
+    python observatory_pass.py MESH BACKGROUND_FOLDER FRAMES_FOLDER --pointing pointing.csv
 
 The watcher would be another program: a display in the dome, the loop that steers the mount. It is resumed wherever
 its connection breaks, and hears of every frame exactly once.
@@ -8,17 +9,41 @@ its connection breaks, and hears of every frame exactly once.
 
 import argparse
 import asyncio
+import csv
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from service.client import AsyncClient, RefusedError
+from service.client import AsyncClient, FrameFacts, RefusedError
 
 
-async def post_pass(client: AsyncClient, session_id: str, frames: list[Path], start: datetime, interval_s: float):
+async def post_pass(client: AsyncClient, session_id: str, frames: list[Path], known: list[FrameFacts]) -> None:
     """Every frame at its own index: if this program is started again, nothing is tracked twice."""
-    for index, path in enumerate(frames):
-        time = start + timedelta(seconds=interval_s * index)
-        await client.put_frame(session_id, index, path, time=time)
+    for index, (path, facts) in enumerate(zip(frames, known, strict=True)):
+        await client.put_frame(session_id, index, path, **facts)
+
+
+def read_pointing(path: Path) -> list[FrameFacts]:
+    """Time and pointing of each frame, as the mount's log has them (`skypose simulate` writes such a file)."""
+    with path.open(newline="") as file:
+        return [
+            {
+                "time": datetime.fromisoformat(row["time"]),
+                "ra_deg": float(row["ra_deg"]),
+                "dec_deg": float(row["dec_deg"]),
+                "position_angle_deg": float(row["position_angle_deg"]),
+            }
+            for row in csv.DictReader(file)
+        ]
+
+
+async def history(client: AsyncClient, session_id: str, wanted: str) -> tuple[str, bytes]:
+    """Suffix and content: the attitude history, or a table of the poses where no frame had a pointing."""
+    if wanted != ".csv":
+        try:
+            return wanted, await client.export(session_id, "aem")
+        except RefusedError as error:
+            print("no attitude file:", error.detail)
+    return ".csv", await client.export(session_id, "csv")
 
 
 async def watch(client: AsyncClient, session_id: str, count: int) -> None:
@@ -42,6 +67,10 @@ async def watch(client: AsyncClient, session_id: str, count: int) -> None:
 async def run(options: argparse.Namespace) -> None:
     """The whole pass."""
     frames = sorted(path for path in options.frames.iterdir() if path.is_file())
+    step = timedelta(seconds=options.interval)
+    known: list[FrameFacts] = [{"time": options.start + k * step} for k in range(len(frames))]
+    if options.pointing is not None:
+        known = read_pointing(options.pointing)
     async with AsyncClient(options.url, api_key=options.key) as client:
         model = await client.upload_model(options.mesh)
         for warning in model.warnings:
@@ -55,14 +84,11 @@ async def run(options: argparse.Namespace) -> None:
         )
         for path in sorted(options.background.iterdir()):
             await client.add_background(session.session_id, path)
-        posting = post_pass(client, session.session_id, frames, options.start, options.interval)
+        posting = post_pass(client, session.session_id, frames, known)
         await asyncio.gather(posting, watch(client, session.session_id, len(frames)))
-        try:
-            form = "csv" if options.out.suffix == ".csv" else "aem"
-            options.out.write_bytes(await client.export(session.session_id, form))
-            print("written:", options.out)
-        except RefusedError as error:  # no frame had a pointing: there is no absolute attitude to export
-            print("no attitude file:", error.detail)
+        suffix, body = await history(client, session.session_id, options.out.suffix)
+        options.out.with_suffix(suffix).write_bytes(body)
+        print("written:", options.out.with_suffix(suffix))
 
 
 def main() -> None:
@@ -75,6 +101,7 @@ def main() -> None:
     parser.add_argument("--key")
     parser.add_argument("--start", type=datetime.fromisoformat, default=datetime.now(UTC))
     parser.add_argument("--interval", type=float, default=0.1)
+    parser.add_argument("--pointing", type=Path, help="CSV: time, ra_deg, dec_deg, position_angle_deg of each frame")
     parser.add_argument("--up", type=float, help="angle of the image's up from north, degrees")
     parser.add_argument("--out", type=Path, default=Path("pass.aem"))
     asyncio.run(run(parser.parse_args()))

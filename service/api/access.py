@@ -114,9 +114,9 @@ class AuditList(Wire):
 
 
 _AFTER = Query(ge=0, le=2**53, description="Cursor, from `next`")
-_KEY_BODY = {
-    "requestBody": {"required": True, "content": {"application/json": {"schema": KeyRequest.model_json_schema()}}}
-}
+_KEY_SCHEMA = KeyRequest.model_json_schema(ref_template="#/components/schemas/{model}")
+del _KEY_SCHEMA["$defs"]  # they are among the schemas of the answers
+_KEY_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": _KEY_SCHEMA}}}}
 
 
 @router.get("/me", response_model=Me, responses=problems())

@@ -9,17 +9,16 @@ from fastapi import APIRouter, Request, Response
 from service.api import schemas
 from service.api.auth import Operator, ReadSession
 from service.api.bodies import read_body
+from service.api.description import bytes_answered, bytes_sent
 from service.api.paging import problems
 from service.api.services import ServicesDep
-from service.sessions.frame import ANY_KIND
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/checkpoint", tags=["sessions"])
 MEDIA_TYPE = "application/vnd.skypose.checkpoint"
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-_BODY = {"requestBody": {"required": True, "content": {ANY_KIND: _BINARY, MEDIA_TYPE: _BINARY}}}
+_BODY = bytes_sent(f"What was read from a checkpoint. Its own `Content-Type` may be sent: `{MEDIA_TYPE}`.")
 
 
-@router.get("", response_class=Response, responses={200: {"content": {MEDIA_TYPE: {}}}, **problems(404)})
+@router.get("", response_class=Response, responses={**bytes_answered(MEDIA_TYPE), **problems(404)})
 async def read_checkpoint(session_id: str, session: ReadSession, services: ServicesDep) -> Response:
     """The session as one portable blob: model, configuration, background, particles, all estimates."""
     blob = await services.checkpoints.get(session)

@@ -7,8 +7,20 @@ from typing import Any
 from fastapi import FastAPI
 
 from service.api.schemas import Problem
+from service.sessions.frame import ANY_KIND
 
+_BYTES = {"schema": {"type": "string", "format": "binary"}}
 _BEARER = {"type": "http", "scheme": "bearer", "description": "API key or OIDC token; none is needed on loopback"}
+
+
+def bytes_sent(description: str) -> dict[str, Any]:
+    """A body of bytes, for ``openapi_extra``. One media type: of several, generators of clients take the first."""
+    return {"requestBody": {"required": True, "description": description, "content": {ANY_KIND: _BYTES}}}
+
+
+def bytes_answered(media_type: str) -> dict[int | str, dict[str, Any]]:
+    """An answer of bytes, for ``responses``."""
+    return {200: {"content": {media_type: _BYTES}}}
 
 
 class DescribedApi(FastAPI):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import orjson
@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api import schemas
 from service.api.auth import ReadSession
+from service.api.description import bytes_answered
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.exports.formats import FORMATS
@@ -36,6 +37,8 @@ class ExportQuery(BaseModel):
     """By default the session's name, or else its id."""
     object_id: Annotated[str, Field(max_length=200)] = "UNKNOWN"
     """International designator, YYYY-NNNP."""
+    smoothed: bool = False
+    """With all later frames taken into account, as in the list of estimates."""
 
 
 @router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422, 503))
@@ -74,7 +77,7 @@ async def read_estimate(session: ReadSession, index: Index, services: ServicesDe
 @router.get(
     "/estimates/{index}/overlay.png",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **problems(404, 410, 422, 503)},
+    responses={**bytes_answered("image/png"), **problems(404, 410, 422, 503)},
 )
 async def read_overlay(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame with the best silhouette in blue (the paper's Table 1)."""
@@ -85,7 +88,7 @@ async def read_overlay(session: ReadSession, index: Index, services: ServicesDep
 @router.get(
     "/estimates/{index}/frame.png",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **problems(404, 410, 422, 503)},
+    responses={**bytes_answered("image/png"), **problems(404, 410, 422, 503)},
 )
 async def read_picture(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame alone, 8 bits, stretched where people would see nothing otherwise."""
@@ -96,7 +99,7 @@ async def read_picture(session: ReadSession, index: Index, services: ServicesDep
 @router.get(
     "/estimates/{index}/frame.fits",
     response_class=Response,
-    responses={200: {"content": {"image/fits": {}}}, **problems(404, 410, 422, 503)},
+    responses={**bytes_answered("image/fits"), **problems(404, 410, 422, 503)},
 )
 async def read_frame_fits(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame with its best pose in `POSE_*` cards: the file that was sent where that was FITS, else a new one."""
@@ -133,9 +136,8 @@ async def export(
 ) -> Response:
     """The attitude history as a file. `aem`, `apm`, `stk` and `czml` need frames with an absolute attitude."""
     kind = FORMATS[query.format]
-    body = await services.archive.export(
-        session, query.format, query.pose, name=query.object_name, object_id=query.object_id
-    )
+    names: dict[str, Any] = {"name": query.object_name, "object_id": query.object_id}
+    body = await services.archive.export(session, query.format, query.pose, **names, smoothed=query.smoothed)
     disposition = f'attachment; filename="{session_id}.{kind.suffix}"'
     return Response(body, media_type=kind.media_type, headers={"Content-Disposition": disposition})
 

@@ -17,26 +17,21 @@ from service.api import schemas
 from service.api.auth import OperateSession, Operator, Reader, ReadSession
 from service.api.batches import stream_batch
 from service.api.bodies import idempotency_key, media_type, read_body, wants_async
+from service.api.description import bytes_sent
 from service.api.forwarding import Call
 from service.api.paging import problems
 from service.api.services import Services, ServicesDep
 from service.errors import InputError
-from service.sessions.frame import ANY_KIND, Answer, BackgroundIn, FrameIn, kind_of
+from service.sessions.frame import Answer, BackgroundIn, FrameIn, kind_of
 from service.sessions.lighting import told_sun
 from service.sessions.session import Session
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["frames"])
-_MEDIA_TYPES = (
-    ANY_KIND,
-    *("image/png", "image/tiff", "image/jpeg", "image/fits", "application/fits", "application/x-npy"),
-    *("application/imagebytes", "video/x-ser", "application/x-ser", "video/*"),
+_IMAGE = bytes_sent(
+    "A file of one or several images. Its own `Content-Type` may be sent: `image/png`, `image/tiff`, `image/jpeg`, "
+    "`image/fits`, `application/fits`, `application/x-npy`, `application/imagebytes`, `video/x-ser`, "
+    "`application/x-ser`, `video/*`. As `application/octet-stream` it is what its first bytes say."
 )
-_IMAGE = {
-    "requestBody": {
-        "required": True,
-        "content": {name: {"schema": {"type": "string", "format": "binary"}} for name in _MEDIA_TYPES},
-    }
-}
 _HEADERS = [
     {"name": "Idempotency-Key", "in": "header", "schema": {"type": "string", "maxLength": 255}},
     {"name": "Prefer", "in": "header", "schema": {"type": "string", "examples": ["respond-async"]}},

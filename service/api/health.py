@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any, Literal
 
 from fastapi import APIRouter, Response
 from fastapi.openapi.docs import get_swagger_ui_html
-from fastapi.responses import HTMLResponse
+from fastapi.responses import FileResponse, HTMLResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
 from service.access.principal import DEFAULT_TENANT, tenant_of
@@ -20,6 +21,7 @@ from service.api.wire import Wire
 from service.sessions.frame import format_time
 
 router = APIRouter(tags=["operations"])
+_ASYNCAPI = Path(__file__).with_name("asyncapi.yaml")
 _NOT_SHOWN = {"data_dir", "database_url", "instance_url", "bootstrap_key_file", "oidc_jwks"}
 
 
@@ -84,6 +86,12 @@ async def system(caller: Reader, services: ServicesDep) -> dict[str, Any]:
 async def docs() -> Response:
     """The API, to read and to try; served from here, without any other host."""
     return docs_page()
+
+
+@router.get("/asyncapi.yaml", include_in_schema=False)
+async def asyncapi() -> Response:
+    """The stream, described as AsyncAPI."""
+    return FileResponse(_ASYNCAPI, media_type="application/yaml")
 
 
 def docs_page() -> HTMLResponse:

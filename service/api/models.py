@@ -12,6 +12,7 @@ from starlette.datastructures import FormData, UploadFile
 from service.access.principal import tenant_of
 from service.api import schemas
 from service.api.auth import OperateModel, Operator, Reader, ReadModel
+from service.api.description import bytes_answered
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.errors import InputError, JointError, UnsupportedMediaTypeError
@@ -100,7 +101,7 @@ async def read_model(model: ReadModel, services: ServicesDep) -> dict[str, Any]:
 @router.get(
     "/{model_id}/mesh.glb",
     response_class=Response,
-    responses={200: {"content": {"model/gltf-binary": {}}}, **problems(404, 503)},
+    responses={**bytes_answered("model/gltf-binary"), **problems(404, 503)},
 )
 async def read_mesh(model: ReadModel, services: ServicesDep) -> Response:
     """The mesh as it was prepared: body frame, joints at rest, one node per part."""

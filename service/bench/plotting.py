@@ -12,4 +12,4 @@ def require_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        raise PlotsMissingError("plots need matplotlib: pip install 'skypose[bench]'") from error
+        raise PlotsMissingError("plots need matplotlib: .venv/bin/pip install matplotlib") from error

@@ -13,6 +13,7 @@ from service.cli.ingest import ingest
 from service.cli.keys import keys
 from service.cli.model import model
 from service.cli.openapi import openapi
+from service.cli.plot import plot
 from service.cli.serve import serve
 from service.cli.sessions import sessions
 from service.cli.simulate import simulate
@@ -24,6 +25,7 @@ app.command()(serve)
 app.command()(simulate)
 app.command()(demo)
 app.command()(track)
+app.command("run")(track)
 app.command()(doctor)
 app.command()(ingest)
 app.command()(export)
@@ -31,6 +33,7 @@ app.command()(openapi)
 app.command()(verify)
 app.command()(backup)
 app.command()(restore)
+app.command()(plot)
 app.add_typer(bench)
 app.add_typer(keys)
 app.add_typer(model)

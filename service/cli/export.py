@@ -17,6 +17,7 @@ def export(
     pose: Annotated[str, typer.Option(help="Which of an estimate's poses: best or mean.")] = "best",
     object_name: Annotated[str | None, typer.Option(help="By default the session's name.")] = None,
     object_id: Annotated[str | None, typer.Option(help="International designator, YYYY-NNNP.")] = None,
+    smoothed: Annotated[bool, typer.Option("--smoothed", help="With all later frames taken into account.")] = False,
     url: Url = DEFAULT_URL,
     key: Key = None,
 ) -> None:
@@ -24,7 +25,7 @@ def export(
     names = {"object_name": object_name, "object_id": object_id}
     options = {name: value for name, value in names.items() if value is not None}
     with connected(url, key) as client:
-        body = client.export(session, file_format, pose=pose, **options)
+        body = client.export(session, file_format, smoothed=smoothed, pose=pose, **options)
     if out is None:
         typer.get_binary_stream("stdout").write(body)
     else:

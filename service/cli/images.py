@@ -19,11 +19,12 @@ SER = ".ser"
 
 @dataclass(frozen=True)
 class ImageFile:
-    """One image as it would be posted."""
+    """One image, or a file of several, as it would be posted."""
 
     name: str
     body: bytes
     media_type: str
+    several: bool = False
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,14 @@ class ImageSource:
             for path in self.files:
                 yield from _file_frames(path)
         else:
+            yield from _video_frames(self.path)
+
+    def files_to_post(self) -> Iterator[ImageFile]:
+        """Files as they are, since their headers tell time and pointing; a video frame by frame, however long."""
+        for path in self.files:
+            body, kind = _read(path)
+            yield ImageFile(path.name, body, kind, kind not in ONE_FRAME and frame_count(body, kind) != 1)
+        if not self.files:
             yield from _video_frames(self.path)
 
 
@@ -71,13 +80,18 @@ def _holds_images(path: Path) -> bool:
 
 def _file_frames(path: Path) -> Iterator[ImageFile]:
     """A file as it is, or each of its frames where it holds several. Raises ``ImageError``."""
-    body, kind = path.read_bytes(), media_type_of(path.name)
-    assert kind is not None, "chosen by its media type"
+    body, kind = _read(path)
     if kind in ONE_FRAME or frame_count(body, kind) == 1:
         yield ImageFile(path.name, body, kind)
         return
     for k, frame in enumerate(split_frames(body, kind)):
         yield ImageFile(f"{path.name}#{k}", frame.body, PNG)
+
+
+def _read(path: Path) -> tuple[bytes, str]:
+    kind = media_type_of(path.name)
+    assert kind is not None, "chosen by its media type"
+    return path.read_bytes(), kind
 
 
 def _video_frames(path: Path) -> Iterator[ImageFile]:

@@ -1,41 +1,36 @@
-"""One pass through the tracker in this process, with its answers written to files."""
+"""One pass through a service of this process, with its answers written to files."""
 
 from __future__ import annotations
 
 import csv
+import io
+import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from service.cli.images import ImageFile, ImageSource
+from service.api.schemas import Estimate, Pose, Session
+from service.cli.images import ImageSource
+from service.cli.ingest_session import SessionPlan, begin_session
 from service.cli.model_file import ModelFile
+from service.client import Client, RefusedError
 from service.imaging.contact_sheet import SHOWN_FRAMES, SheetRow, contact_sheet
 from service.imaging.decode import decode_frame
 from service.imaging.overlay import encode_png
 from service.inference.articulation import hold
-from service.inference.params import SessionConfig
-from service.inference.state import FilterState, PoseEstimate, Poses
-from service.sessions.document import JointNames, estimate_document
-from service.sessions.frame import format_time, own_sky_frames
-from service.sessions.lighting import light_at
-from service.sessions.ranging import scale_bounds
+from service.inference.state import Poses
+from service.remote.calls import get_bytes
+from service.remote.options import FrameFacts
 from service.simulate.compare import silhouette
-from service.workers.base import BackgroundJob, FrameJob, FrameReport, ModelJob, PackedFrameReport
-from service.workers.tracker import Tracker, content_key
 
-_SESSION_ID = "offline"
-_COLUMNS = (
-    *("frame", "time_s", "name", "status", "qx", "qy", "qz", "qw", "x_px", "y_px", "scale_px"),
-    *("log_likelihood", "spread_orientation_deg", "modes", "ess", "log_evidence", "ms"),
-)
+_CONFLICT = 409
 
 
 @dataclass(frozen=True)
@@ -68,146 +63,98 @@ class PassSummary:
 
 
 @dataclass(frozen=True)
-class Sky:
-    """Where the background is learned: empty images, or what the first frame shows outside a box or at its border.
-
-    Where nothing is told: what lies around the object in the first frames.
-    """
-
-    images: ImageSource | None
-    box: tuple[float, float, float, float] | None = None
-    border_px: float | None = None
-
-    @property
-    def own(self) -> bool:
-        """Whether nothing is told."""
-        return self.images is None and self.box is None and self.border_px is None
-
-
 class OfflinePass:
-    """Tracks one model through images. Owns the tracker; a context manager."""
+    """A session's plan, the frames it is fed, and where its answers go."""
 
-    def __init__(self, model: ModelFile, joints: tuple[Mapping[str, Any], ...] | None, config: SessionConfig) -> None:
-        self._model, self._config = model, config
-        self._tracker = Tracker()
-        report = self._tracker.prepare_model(ModelJob(model.data, model.file_type, joints))
-        self._articulation, self._twins = report.articulation, report.twins
-        self._warnings = report.warnings
-        self._blobs = {content_key(model.data): model.data}
-        self._names = JointNames.of(report.articulation, config)
-        self._lit = light_at(config, {})
-        self._assumed: tuple[str, ...] = ()
+    model: ModelFile
+    plan: SessionPlan  # without a mesh the model is the bundled one
+    frames: ImageSource
+    out: Path
+    start: datetime | None = None  # of the first frame, where the files do not tell
+    smoothed: bool = False
 
-    def __enter__(self) -> OfflinePass:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._tracker.close()
-
-    def run(self, frames: ImageSource, sky: Sky, out: Path, interval_s: float | None, console: Console) -> PassSummary:
-        """Learn the sky, track every frame, write the answers; returns how it went."""
-        for warning in self._warnings:
+    def run(self, client: Client, console: Console) -> PassSummary:
+        """Begin the session, track every frame, write the answers. Raises ``ClientError``, ``ImageError``."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        session = self._begin(client)
+        for warning in session.warnings:
             console.print(f"[yellow]{warning}[/yellow]")
-        out.mkdir(parents=True, exist_ok=True)
-        step_s = interval_s or frames.interval_s or self._config.motion.frame_interval_s
-        background = self._learn(sky, frames)
-        self._assumed = ("background",) if sky.own else ()
-        started = datetime.now(UTC)
+        names: list[str] = []
         statuses: list[str] = []
-        rows: dict[int, tuple[ImageFile, FrameReport]] = {}
+        rows: dict[int, SheetRow] = {}
         began = time.perf_counter()
-        with (
-            _progress(console) as progress,
-            (out / "estimates.csv").open("w", newline="") as table,
-            (out / "estimates.jsonl").open("wb") as lines,
-        ):
-            task = progress.add_task("tracking", total=frames.count, status="")
-            writer = csv.writer(table)
-            writer.writerow([*_COLUMNS, *self._names.free])
-            state: FilterState | None = None
-            for k, image in enumerate(frames):
-                report = self._track(background, state, k, k * step_s, image)
-                state = report.state
-                writer.writerow(_csv_row(k, k * step_s, image.name, report))
-                lines.write(self._document(k, started + timedelta(seconds=k * step_s), report) + b"\n")
-                statuses.append(report.estimate.status)
-                rows[k] = (image, report)
-                if k > 0 and k not in SHOWN_FRAMES:  # the frame before, number k from 1, is neither shown nor last
-                    del rows[k - 1]
-                progress.update(task, advance=1, status=report.estimate.status)
+        with _progress(console) as progress, (self.out / "estimates.jsonl").open("w") as lines:
+            task = progress.add_task("tracking", total=self.frames.count, status="")
+            for name, estimate in self._track(client, session):
+                lines.write(estimate.model_dump_json(exclude_unset=True) + "\n")
+                names.append(name)
+                statuses.append(estimate.status)
+                if estimate.index + 1 in SHOWN_FRAMES:
+                    rows[estimate.index] = self._sheet_row(client, session, estimate)
+                progress.update(task, advance=1, status=estimate.status)
         seconds = time.perf_counter() - began
-        sheet = [self._sheet_row(k, image, report) for k, (image, report) in sorted(rows.items())]
-        title = f"{self._model.name}: {frames.path}"
-        (out / "contact_sheet.png").write_bytes(encode_png(contact_sheet(title, sheet)))
-        return PassSummary({name: statuses.count(name) for name in dict.fromkeys(statuses)}, seconds, out)
+        if len(names) - 1 not in rows:
+            rows[len(names) - 1] = self._sheet_row(client, session, client.estimate(session.session_id))
+        sheet = contact_sheet(f"{self.model.name}: {self.frames.path}", list(rows.values()))
+        (self.out / "contact_sheet.png").write_bytes(encode_png(sheet))
+        self._export(client, session, names, console)
+        return PassSummary({name: statuses.count(name) for name in dict.fromkeys(statuses)}, seconds, self.out)
 
-    def _learn(self, sky: Sky, frames: ImageSource) -> str:
-        """Key of the learned background among the blobs."""
-        learned: bytes | None = None
-        images: Sequence[ImageFile] | ImageSource
-        images = sky.images or (own_sky_frames(frames) if sky.own else [next(iter(frames))])
-        for image in images:
-            job = BackgroundJob(self._config, image.body, image.media_type, learned, sky.box, sky.border_px, sky.own)
-            learned = self._tracker.learn_background(job).background
-        assert learned is not None, "an image source has at least one image"
-        key = content_key(learned)
-        self._blobs[key] = learned
-        return key
+    def _begin(self, client: Client) -> Session:
+        first = next(iter(self.frames))
+        with tempfile.TemporaryDirectory(prefix="skypose-") as folder:
+            path = Path(folder) / first.name.replace("#", "_")
+            path = path if first.media_type != "image/png" else path.with_suffix(".png")
+            path.write_bytes(first.body)
+            mesh = self.plan.mesh or Path(folder) / self.model.name
+            if self.plan.mesh is None:
+                mesh.write_bytes(self.model.data)
+            return begin_session(client, replace(self.plan, mesh=mesh), path)
 
-    def _track(
-        self, background: str, state: FilterState | None, index: int, time_s: float, image: ImageFile
-    ) -> FrameReport:
-        return self._tracker.track(
-            FrameJob(
-                config=self._config,
-                model=content_key(self._model.data),
-                file_type=self._model.file_type,
-                articulation=self._articulation,
-                background=background,
-                state=state,
-                frame_index=index,
-                time_s=time_s,
-                body=image.body,
-                media_type=image.media_type,
-                twins=self._twins,
-                blobs=self._blobs,
-                scale_px=scale_bounds(self._config.prior, None),
-                light=self._lit.light,
-            )
-        )
+    def _track(self, client: Client, session: Session) -> Iterator[tuple[str, Estimate]]:
+        """Every frame's name and estimate."""
+        step, index = timedelta(seconds=session.motion["frame_interval_s"]), 0
+        for file in self.frames.files_to_post():
+            facts: FrameFacts = {} if self.start is None else {"time": self.start + index * step}
+            answers = client.track_file(session.session_id, file.body, file.media_type, index=index, **facts)
+            for k, estimate in enumerate(answers):
+                yield f"{file.name}#{k}" if file.several else file.name, estimate
+                index += 1
 
-    def _document(self, index: int, moment: datetime, report: FrameReport) -> bytes:
-        packed = PackedFrameReport(b"", report.estimate, report.timing_ms, report.scorer)
-        return estimate_document(
-            _SESSION_ID, index, format_time(moment), self._names, packed, lit=self._lit, assumed=self._assumed
-        )
+    def _export(self, client: Client, session: Session, names: Sequence[str], console: Console) -> None:
+        """The table that the service exports, with the files' names; the attitudes, where they are known."""
+        text = client.export(session.session_id, "csv", smoothed=self.smoothed).decode()
+        with (self.out / "estimates.csv").open("w", newline="") as file:
+            table = csv.writer(file)
+            for row, name in zip(csv.reader(io.StringIO(text)), ["name", *names], strict=True):
+                table.writerow([*row, name])
+        try:
+            attitudes = client.export(session.session_id, "aem", smoothed=self.smoothed)
+        except RefusedError as error:
+            if error.status != _CONFLICT:
+                raise
+            console.print(f"no attitude.aem: {error.detail}")
+        else:
+            (self.out / "attitude.aem").write_bytes(attitudes)
 
-    def _sheet_row(self, index: int, image: ImageFile, report: FrameReport) -> SheetRow:
-        pixels = decode_frame(image.body, image.media_type).image
-        best, estimate = report.estimate.best, report.estimate
-        held = hold(self._articulation, self._config.joints.free, self._config.joints.fixed)
-        size = (pixels.shape[1], pixels.shape[0])
-        label = f"frame {index + 1}\n{estimate.status}\nspread {estimate.spread.orientation_deg:.1f} deg"
-        return SheetRow(label, pixels, silhouette(self._model.mesh, held, as_poses(best), size))
+    def _sheet_row(self, client: Client, session: Session, estimate: Estimate) -> SheetRow:
+        path = f"/v1/sessions/{session.session_id}/estimates/{estimate.index}/frame.png"
+        pixels = decode_frame(client.call(get_bytes(path)), "image/png").image
+        held = hold(self.model.articulation, tuple(session.joints["free"]), session.joints["fixed"])
+        pose = as_poses(estimate.best, tuple(joint.name for joint in held.joints))
+        label = f"frame {estimate.index + 1}\n{estimate.status}\nspread {estimate.spread.orientation_deg:.1f} deg"
+        return SheetRow(label, pixels, silhouette(self.model.mesh, held, pose, (pixels.shape[1], pixels.shape[0])))
 
 
-def as_poses(pose: PoseEstimate) -> Poses:
-    """One reported pose as a batch of one."""
-    return Poses(pose.quaternion[None], pose.position[None], np.log([pose.scale]), pose.joints[None])
-
-
-def _csv_row(index: int, time_s: float, name: str, report: FrameReport) -> list[Any]:
-    estimate = report.estimate
-    w, x, y, z = (round(float(v), 8) for v in estimate.best.quaternion)
-    place = [round(float(v), 4) for v in estimate.best.position]
-    return [
-        *(index, round(time_s, 6), name, estimate.status, x, y, z, w, *place, round(estimate.best.scale, 6)),
-        *(round(estimate.best_log_likelihood, 3), round(estimate.spread.orientation_deg, 4), len(estimate.modes)),
-        *(round(estimate.ess, 2), round(estimate.log_evidence, 3), round(report.timing_ms["total"], 3)),
-        *(round(float(v), 4) for v in estimate.best.joints),
-    ]
+def as_poses(pose: Pose, joints: Sequence[str]) -> Poses:
+    """One pose of the wire as a batch of one, with the ``joints`` in this order."""
+    q = pose.orientation
+    return Poses(
+        np.array([[q.w, q.x, q.y, q.z]]),
+        np.array([[pose.x_px, pose.y_px]]),
+        np.log([pose.scale_px]),
+        np.array([[pose.joints[name] for name in joints]], dtype=np.float64),
+    )
 
 
 def _progress(console: Console) -> Progress:

@@ -17,11 +17,15 @@ def read_overflight(site: str | None, tle: Path | None, time: str | None, up_ang
         return None
     if site is None or tle is None or time is None:
         raise typer.BadParameter("--site, --tle and --time go together")
+    return Overflight(parse_site(site), read_elements(tle), parse_time(time), up_angle_deg)
+
+
+def read_elements(path: Path) -> str:
+    """Orbital elements as text. Raises ``typer.BadParameter``."""
     try:
-        elements = tle.read_text(encoding="ascii").strip()
+        return path.read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise typer.BadParameter(f"{tle}: {error}", param_hint="--tle") from error
-    return Overflight(parse_site(site), elements, parse_time(time), up_angle_deg)
+        raise typer.BadParameter(f"{path}: {error}", param_hint="--tle") from error
 
 
 def parse_site(text: str) -> Site:

@@ -7,19 +7,22 @@ With A = GCRF and B = the body this is the quaternion body -> GCRF of coordinate
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from itertools import groupby
 
 from service.exports.history import AttitudeHistory, Sample, Segment, rates_known
 
 BODY = "SC_BODY_1"
 INERTIAL = "GCRF"
 _ORIGINATOR = "SKYPOSE"
+_SPREADS = "Standard deviations about the body axes X, Y, Z in degrees, by epoch:"
 
 
 def write_aem(history: AttitudeHistory) -> str:
-    """An AEM with a segment for each uninterrupted stretch, with rates where they are known."""
+    """An AEM with a segment for each uninterrupted stretch, and for what in it has no rate: rows must look alike."""
     lines = _header("AEM", history)
-    for segment in history.segments:
-        lines += ["", *_segment(history, segment)]
+    for stretch in history.segments:
+        for _, samples in groupby(stretch, lambda sample: sample.rate_deg_s is None):
+            lines += ["", *_segment(history, tuple(samples))]
     return "\n".join(lines) + "\n"
 
 
@@ -67,9 +70,17 @@ def _segment(history: AttitudeHistory, segment: Segment) -> list[str]:
         *([] if with_rates else ["ATTITUDE_TYPE = QUATERNION"]),
         "META_STOP",
         "DATA_START",
+        *_spreads(segment),
         *(_row(sample) for sample in segment),
         "DATA_STOP",
     ]
+
+
+def _spreads(segment: Segment) -> list[str]:
+    """AEM has no columns for uncertainty, and comments only before the rows."""
+    known = [(sample.time, sample.sigma_deg) for sample in segment if sample.sigma_deg is not None]
+    rows = [" ".join([_epoch(time), *(f"{value:.6f}" for value in sigma_deg)]) for time, sigma_deg in known]
+    return [f"COMMENT {line}" for line in ([_SPREADS, *rows] if rows else [])]
 
 
 def _row(sample: Sample) -> str:

@@ -22,7 +22,7 @@ class Subject:
 
     name: str
     object_id: str
-    joints: Sequence[str]
+    joints: Mapping[str, str]  # name of each estimated joint -> its unit: deg, or units of the model
     created: datetime
 
 

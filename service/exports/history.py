@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from service.inference.pose import conjugate, log_so3, multiply
 from service.inference.state import Array
 
 PoseName = Literal["best", "mean"]
@@ -28,7 +27,8 @@ class Sample:
 
     time: datetime  # aware
     quaternion: Array  # (4,) w, x, y, z; body -> GCRF
-    rate_deg_s: Array | None = None  # (3,) in body axes
+    rate_deg_s: Array | None = None  # (3,) in body axes; None: not known, as in a track's first frame
+    sigma_deg: Array | None = None  # (3,) standard deviations about the body's axes
 
 
 Segment = tuple[Sample, ...]
@@ -61,20 +61,19 @@ def read_history(
         elif newest is None or sample.time > newest:
             segments[-1].append(sample)
             newest = sample.time
-    return AttitudeHistory(
-        name, object_id, created, tuple(_with_rates(_continuous(segment)) for segment in segments if segment)
-    )
+    return AttitudeHistory(name, object_id, created, tuple(_continuous(segment) for segment in segments if segment))
 
 
 def _sample(document: Mapping[str, Any], pose: PoseName) -> Sample | None:
     attitude = document[pose].get("attitude")
     if attitude is None or document["status"] in _WITHOUT_TARGET:
         return None
-    rate = attitude.get("angular_velocity_body_deg_s")
+    rate, spread = attitude.get("angular_velocity_body_deg_s"), document.get("spread")
     return Sample(
         datetime.fromisoformat(document["time"]).astimezone(UTC),
         np.array([attitude["orientation"][axis] for axis in "wxyz"]),
         None if rate is None else np.array(rate),
+        None if spread is None else np.sqrt(np.diag(np.array(spread["covariance"]))[:3]),
     )
 
 
@@ -87,27 +86,6 @@ def _continuous(segment: list[Sample]) -> Segment:
     return tuple(kept)
 
 
-def _with_rates(segment: Segment) -> Segment:
-    """Fill a missing rate with the mean rate to the next sample, or from the one before.
-
-    The filter knows no rate in its first frame. All or none: a segment's rows must look alike.
-    """
-    if all(sample.rate_deg_s is None for sample in segment):
-        return segment
-    filled = []
-    for k, sample in enumerate(segment):
-        first = segment[min(k, len(segment) - 2)]
-        second = segment[min(k, len(segment) - 2) + 1] if len(segment) > 1 else sample
-        rate = sample.rate_deg_s if sample.rate_deg_s is not None else _mean_rate_deg_s(first, second)
-        filled.append(replace(sample, rate_deg_s=rate))
-    return tuple(filled)
-
-
-def _mean_rate_deg_s(first: Sample, second: Sample) -> Array:
-    turn = log_so3(multiply(conjugate(first.quaternion), second.quaternion))
-    return np.asarray(np.rad2deg(turn) / (second.time - first.time).total_seconds(), dtype=np.float64)
-
-
 def rates_known(segment: Segment) -> bool:
-    """Whether every sample has a rate."""
+    """Whether every sample has a rate: the rows of a table must look alike."""
     return all(sample.rate_deg_s is not None for sample in segment)

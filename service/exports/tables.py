@@ -16,11 +16,11 @@ _RATE = "angular_velocity_body_deg_s"
 _NAN = float("nan")
 
 
-def write_csv(estimates: Sequence[Mapping[str, Any]], joints: Sequence[str], pose: PoseName) -> str:
-    """Rows of text; what is unknown is left empty."""
+def write_csv(estimates: Sequence[Mapping[str, Any]], joints: Mapping[str, str], pose: PoseName) -> str:
+    """Rows of text; what is unknown is left empty. ``joints``: the unit of each, by its name."""
     buffer = io.StringIO()
     writer = csv.writer(buffer)
-    columns = ["index", "time", "status", "qw", "qx", "qy", "qz", *_POSE, *(f"joint:{name}" for name in joints)]
+    columns = ["index", "time", "status", "qw", "qx", "qy", "qz", *_POSE, *_joint_columns(joints)]
     columns += ["orientation_spread_deg", "ess", "log_evidence", *(f"gcrf_q{axis}" for axis in "wxyz")]
     columns += [f"body_rate_{axis}_deg_s" for axis in "xyz"]
     writer.writerow(columns)
@@ -38,7 +38,7 @@ def write_csv(estimates: Sequence[Mapping[str, Any]], joints: Sequence[str], pos
     return buffer.getvalue()
 
 
-def write_npz(estimates: Sequence[Mapping[str, Any]], joints: Sequence[str], pose: PoseName) -> bytes:
+def write_npz(estimates: Sequence[Mapping[str, Any]], joints: Mapping[str, str], pose: PoseName) -> bytes:
     """Named arrays; what is unknown is NaN. Times are strings, ISO 8601; quaternions w, x, y, z."""
     poses = [estimate[pose] for estimate in estimates]
     attitudes = [found.get("attitude") or {} for found in poses]
@@ -52,7 +52,8 @@ def write_npz(estimates: Sequence[Mapping[str, Any]], joints: Sequence[str], pos
         _RATE: _rows([found.get(_RATE) or [_NAN] * 3 for found in attitudes], 3),
         "position_px": _rows([[found["x_px"], found["y_px"]] for found in poses], 2),
         "scale_px": np.array([found["scale_px"] for found in poses], dtype=np.float64),
-        "joint_names": np.array(joints, dtype=np.str_),
+        "joint_names": np.array(list(joints), dtype=np.str_),
+        "joint_units": np.array(list(joints.values()), dtype=np.str_),
         "joints": _rows([[found["joints"][name] for name in joints] for found in poses], len(joints)),
         "orientation_spread_deg": np.array([e["spread"]["orientation_deg"] for e in estimates], dtype=np.float64),
         "covariance": np.array([e["spread"]["covariance"] for e in estimates], dtype=np.float64),
@@ -62,6 +63,10 @@ def write_npz(estimates: Sequence[Mapping[str, Any]], joints: Sequence[str], pos
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()
+
+
+def _joint_columns(joints: Mapping[str, str]) -> list[str]:
+    return [f"joint:{name}_{unit}" for name, unit in joints.items()]
 
 
 def _elements(orientation: Mapping[str, float]) -> list[float]:

@@ -17,8 +17,8 @@ class Domain:
     """Bounds of the uniform prior (the paper's section 2).
 
     The body's diameter spans at least ``min_extent`` of the image's shorter side and at most ``max_extent`` of the
-    longer one, and its centre lies in the image, so that about half of it at least is seen. Where the range is known,
-    ``scale_within`` says more than the extents.
+    longer one, and its centre lies in the image: nine draws in ten then show at least half of it, as the paper asks of
+    all. Where the range is known, ``scale_within`` says more than the extents.
     """
 
     width: int

@@ -185,9 +185,11 @@ class AsyncClient:
         """The weighted particles after a frame, the newest by default."""
         return await self.call(calls.get_particles(session_id, index))
 
-    async def export(self, session_id: str, file_format: str = "csv", **options: str) -> bytes:
+    async def export(
+        self, session_id: str, file_format: str = "csv", *, smoothed: bool = False, **options: str
+    ) -> bytes:
         """The attitude history as ``aem``, ``apm``, ``stk``, ``czml``, ``csv`` or ``npz``; options: docs/formats.md."""
-        return await self.call(calls.get_bytes(f"/v1/sessions/{session_id}/export", format=file_format, **options))
+        return await self.call(calls.export(session_id, file_format, smoothed, options))
 
     async def checkpoint(self, session_id: str) -> bytes:
         """The whole session as a portable blob."""

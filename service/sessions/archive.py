@@ -18,7 +18,6 @@ from service.inference.articulation import hold
 from service.inference.params import LightParams, SessionConfig
 from service.sessions import config as session_config
 from service.sessions.contenders import of_the_leader
-from service.sessions.document import JointNames
 from service.sessions.frame_fits import image_with_pose, is_fits, original_with_pose
 from service.sessions.library import articulation_of
 from service.sessions.particle_set import ParticleSet
@@ -108,26 +107,31 @@ class Archive:
         """The particles after a frame, the newest by default. Raises ``GoneError`` where they are not kept."""
         found, packed = await self.database.read(frames.particle_set, session_id, index)
         _, config = await self._setting(session_id)
-        return ParticleSet(found, packed, await self.joint_names(session_id, found), config.camera)
+        return ParticleSet(found, packed, tuple(await self.joint_units(session_id, found)), config.camera)
 
-    async def joint_names(self, session_id: SessionKey, index: int | None = None) -> tuple[str, ...]:
-        """Names of the estimated joints, in the order of their columns; ``index``: under the model of that frame."""
+    async def joint_units(self, session_id: SessionKey, index: int | None = None) -> dict[str, str]:
+        """Unit of each estimated joint by its name, in the order of their columns.
+
+        ``index``: under the model of that frame.
+        """
         estimate = None if index is None else orjson.loads(await self.estimate(session_id, index))
         model, config = await self._setting(session_id, estimate)
-        return JointNames.of(articulation_of(model), config).free
+        held = hold(articulation_of(model), config.joints.free, config.joints.fixed)
+        return {joint.name: "deg" if joint.kind == "revolute" else "units" for joint in held.joints}
 
     async def export(
-        self, session_id: SessionKey, form: str, pose: PoseName, *, name: str | None, object_id: str
+        self, session_id: SessionKey, form: str, pose: PoseName, *, name: str | None, object_id: str, smoothed: bool
     ) -> bytes:
         """The history as a file; where models are compared, the frames in which the one that now leads did.
 
         Raises ``ConflictError`` for an attitude format without any attitude.
         """
         record = await self.database.read(sessions.get, session_id)
-        found, _ = await self.estimates(session_id, -1, EVERYTHING)
+        read = self.smoothed if smoothed else self.estimates
+        found, _ = await read(session_id, -1, EVERYTHING)
         if record.model_ids:
             found = await asyncio.to_thread(of_the_leader, found)
-        joints = await self.joint_names(session_id, record.next_index - 1 if found else None)
+        joints = await self.joint_units(session_id, record.next_index - 1 if found else None)
         subject = Subject(name or record.name or public_id(session_id), object_id, joints, datetime.now(UTC))
         return await asyncio.to_thread(_export, form, found, pose, subject)
 

@@ -20,6 +20,8 @@ from service.sessions.absolute import View, attitude_document, camera_document
 from service.sessions.lighting import UNKNOWN, Lit
 from service.workers.base import PackedFrameReport
 
+_PARTS = 10**9
+
 
 @dataclass(frozen=True)
 class JointNames:
@@ -131,9 +133,16 @@ def smoothed_document(
 
 def _modes(modes: Sequence[Mode], names: JointNames, view: View | None) -> list[dict[str, Any]]:
     return [
-        {"weight": float(mode.weight), "pose": _pose(mode.pose, names, view), "spread": _spread(mode.spread, names)}
-        for mode in modes
+        {"weight": weight, "pose": _pose(mode.pose, names, view), "spread": _spread(mode.spread, names)}
+        for mode, weight in zip(modes, decimal_shares([mode.weight for mode in modes]), strict=True)
     ]
+
+
+def decimal_shares(shares: Sequence[float]) -> list[float]:
+    """Shares, the largest first, with nine decimals, so that the decimals as written sum to what the shares do: 1."""
+    parts = np.rint(np.multiply(shares, _PARTS))
+    parts[:1] += np.rint(np.sum(shares) * _PARTS) - np.sum(parts)
+    return [float(part) for part in parts / _PARTS]
 
 
 def _rates(rates: Rates | None, names: JointNames) -> dict[str, Any] | None:

@@ -15,7 +15,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from service.attitude.absolute import absolute_quaternion
+from service.attitude.camera import towards
 from service.inference.articulation import Joint
+from service.inference.state import Array
 from service.simulate.camera import Image
 from service.simulate.motion import Track
 from service.simulate.overflight import utc_text
@@ -113,16 +116,34 @@ def write_truth(simulated: SimulatedPass, path: Path) -> None:
 
 
 def write_pointing(simulated: SimulatedPass, path: Path) -> None:
-    """Where the camera points and what lies there, one line per frame: coordinates of J2000, without refraction."""
+    """Where the camera points and what lies there, one line per frame: coordinates of J2000, without refraction.
+
+    ``gcrf_q…`` is the true attitude as the service tells it, body -> GCRF: relative to the ray to the object.
+    """
     with path.open("w", newline="") as file:
         out = csv.writer(file)
         sky = ["ra_deg", "dec_deg", "position_angle_deg"]
-        out.writerow(["frame", "time", *sky, "range_km", "elevation_deg", "sunlit"])
+        truth = [f"gcrf_q{axis}" for axis in "wxyz"]
+        out.writerow(["frame", "time", *sky, "range_km", "elevation_deg", "sunlit", *truth])
         up_deg = simulated.scenario.overflight.up_angle_deg if simulated.scenario.overflight else 0.0
         for k, look in enumerate(simulated.looks):
             angles = [round(look.ra_deg, 7), round(look.dec_deg, 7), up_deg]
             there = [round(look.sighting.range_km, 4), round(look.sighting.elevation_deg, 4), round(look.sunlit, 6)]
-            out.writerow([k, utc_text(look.moment), *angles, *there])
+            attitude = [round(float(value), 9) for value in true_attitude(simulated, k)]
+            out.writerow([k, utc_text(look.moment), *angles, *there, *attitude])
+
+
+def true_attitude(simulated: SimulatedPass, k: int) -> Array:
+    """(4,) quaternion body -> GCRF of frame ``k`` of a pass over a real site."""
+    pose = simulated.track.poses
+    aside = (pose.position[k] - np.array(simulated.scenario.size) / 2) * np.rad2deg(_radians_per_pixel(simulated))
+    axes = towards(simulated.looks[k].camera.to_gcrf, float(aside[0]), float(aside[1]))
+    return absolute_quaternion(axes, pose.quaternion[k])
+
+
+def _radians_per_pixel(simulated: SimulatedPass) -> float:
+    first_km = simulated.looks[0].sighting.range_km
+    return _UNIT_M / (first_km * 1e3 * float(np.exp(simulated.track.poses.log_scale[0])))
 
 
 def _overflight_entries(simulated: SimulatedPass) -> dict[str, Any]:
@@ -130,8 +151,7 @@ def _overflight_entries(simulated: SimulatedPass) -> dict[str, Any]:
     over = simulated.scenario.overflight
     if over is None:
         return {}
-    first_km = simulated.looks[0].sighting.range_km
-    radians = _UNIT_M / (first_km * 1e3 * float(np.exp(simulated.track.poses.log_scale[0])))
+    radians = _radians_per_pixel(simulated)
     return {
         "site": {
             "latitude_deg": over.site.latitude_deg,

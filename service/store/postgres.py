@@ -192,7 +192,7 @@ def _checked(url: str) -> Any:
         import psycopg  # noqa: F401 -- only to say what is missing
     except ImportError as error:
         raise ConfigError(
-            "PostgreSQL needs a driver: pip install 'skypose[postgres]'", field="SKYPOSE_DATABASE_URL"
+            "PostgreSQL needs a driver: pip install 'psycopg[binary]'", field="SKYPOSE_DATABASE_URL"
         ) from error
     return parsed.set(drivername=DRIVER)
 

@@ -33,7 +33,7 @@ def _ray(settings: Mapping[str, Any], program: Program, batching: Batching) -> T
         from service.workers.ray_engine import RayPlan, RayTransport
         from service.workers.ray_worker import WorkerPlan
     except ModuleNotFoundError as error:
-        raise ConfigError("the engine ray needs skypose[ray] installed", field="SKYPOSE_ENGINE") from error
+        raise ConfigError("the engine ray needs Ray: pip install 'ray>=2.40'", field="SKYPOSE_ENGINE") from error
     if program.factory == TRACKER:
         program = replace(program, arguments=(program.arguments[0], NODE_KERNELS))
     cores = settings["ray_cores"]

@@ -104,9 +104,9 @@ async def test_exports_hold_the_attitudes(api):
         assert answer.status_code == 200, answer.text
         return answer.content
 
-    (segment,) = AEM.from_str((await export("aem")).decode()).segments
-    assert (segment.object_name, segment.object_id) == ("TOPEX", "1992-052A")
-    for state, matrix in zip(segment.states, expected, strict=True):
+    first, rest = AEM.from_str((await export("aem")).decode()).segments  # the first frame's rate is not known
+    assert (first.object_name, first.object_id) == ("TOPEX", "1992-052A")
+    for state, matrix in zip([*first.states, *rest.states], expected, strict=True):
         np.testing.assert_allclose(state.quaternion.to_rotation_matrix().to_matrix(), matrix.T, atol=1e-9)
     apm = APM.from_str((await export("apm")).decode()).quaternion_states[0].quaternion
     np.testing.assert_allclose(apm.to_rotation_matrix().to_matrix(), expected[-1].T, atol=1e-9)

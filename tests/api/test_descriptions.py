@@ -1,4 +1,4 @@
-"""The descriptions in docs/ say what the service does: openapi.json word for word, asyncapi.yaml by real events."""
+"""The descriptions say what the service does: openapi.json word for word, asyncapi.yaml by real events."""
 
 import json
 from pathlib import Path
@@ -17,6 +17,7 @@ from service.cli.openapi import openapi_text
 from service.sessions.hub import Message
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
+ASYNCAPI = DOCS.parent / "service" / "api" / "asyncapi.yaml"
 REWRITE = "the API changed; see that it only grew, then: skypose openapi --out docs/openapi.json"
 
 
@@ -31,7 +32,7 @@ def test_openapi_is_the_frozen_one():
 def registry() -> Registry:
     files = {
         "openapi.json": json.loads((DOCS / "openapi.json").read_text()),
-        "asyncapi.yaml": yaml.safe_load((DOCS / "asyncapi.yaml").read_text()),
+        "asyncapi.yaml": yaml.safe_load(ASYNCAPI.read_text()),
     }
     resources = [(f"http://docs/{name}", Resource(document, DRAFT202012)) for name, document in files.items()]
     return Registry().with_resources(resources)
@@ -87,3 +88,10 @@ async def test_events_are_as_asyncapi_says(make_app, registry):
 def test_every_type_of_message_is_described(registry):
     described = set(registry.contents("http://docs/asyncapi.yaml")["components"]["messages"])
     assert described == set(get_args(get_type_hints(Message)["type"]))
+
+
+@pytest.mark.anyio
+async def test_the_stream_is_described_beside_the_rest(api):
+    answer = await api.http.get("/asyncapi.yaml")
+    assert answer.text == ASYNCAPI.read_text()
+    assert answer.headers["content-type"].startswith("application/yaml")

@@ -52,6 +52,8 @@ async def test_particles_as_json_and_npz(api):
     arrays = np.load(io.BytesIO(packed.content))
     for name in ("orientation", "position_px", "scale_px", "joints", "weights"):
         np.testing.assert_array_equal(arrays[name], np.array(data[name]))
+        assert arrays[name].dtype == np.float64 and arrays[name].flags.c_contiguous
+    assert (arrays["orientation"].shape[1], arrays["joints"].shape[1], arrays["index"].dtype) == (4, 1, np.int64)
     assert (await api.http.get(f"{url}?index=0")).json()["index"] == 0
     assert (await api.http.get(f"{url}?index=2")).status_code == 404
 
@@ -74,7 +76,7 @@ async def test_csv_export(api):
     rows = list(csv.DictReader(io.StringIO(answer.text)))
     latest = (await api.http.get(f"/v1/sessions/{session_id}/estimates/latest")).json()
     assert float(rows[2]["qw"]) == latest["best"]["orientation"]["w"]
-    assert float(rows[2]["joint:panel"]) == latest["best"]["joints"]["panel"]
+    assert float(rows[2]["joint:panel_deg"]) == latest["best"]["joints"]["panel"]
     refused = await api.http.get(f"/v1/sessions/{session_id}/export?format=xls")
     assert (refused.status_code, refused.json()["field"]) == (422, "query:format")
     needs_attitude = await api.http.get(f"/v1/sessions/{session_id}/export?format=stk")

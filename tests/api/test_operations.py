@@ -64,7 +64,7 @@ async def test_openapi_names_what_routes_refuse(api):
     document = (await api.http.get("/openapi.json")).json()
     post = document["paths"]["/v1/sessions/{session_id}/frames"]["post"]
     assert {"200", "202", "409", "413", "415", "422", "429"} <= set(post["responses"])
-    assert "image/png" in post["requestBody"]["content"]
+    assert "`image/png`" in post["requestBody"]["description"]
     sections = document["paths"]["/v1/sessions"]["post"]["requestBody"]["content"]["application/json"]
     assert "particles" in sections["schema"]["properties"]["filter"]["properties"]
 

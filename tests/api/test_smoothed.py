@@ -1,5 +1,7 @@
 """`GET …/estimates?smoothed=true`: the same frames, each with what came after taken into account."""
 
+import csv
+import io
 from typing import ClassVar
 
 import numpy as np
@@ -89,7 +91,10 @@ async def test_a_pass_is_smoothed_although_its_particles_are_gone(make_app):
         plain = (await api.http.get(here)).json()["estimates"]
         smoothed = (await api.http.get(f"{here}?smoothed=true")).json()["estimates"]
         page = (await api.http.get(f"{here}?smoothed=true&after=2&limit=2")).json()["estimates"]
+        table = (await api.http.get(f"/v1/sessions/{session_id}/export?smoothed=true")).text
     assert page == smoothed[3:5]
+    told = [float(row["qw"]) for row in csv.DictReader(io.StringIO(table))]
+    assert told == [e["best"]["orientation"]["w"] for e in smoothed] != [e["best"]["orientation"]["w"] for e in plain]
     assert [e["smoothed"] for e in smoothed] == [True] * 6
     kept = ("index", "time", "status", "log_evidence", "particles", "ess", "scorer", "camera")
     for before, after in zip(plain, smoothed, strict=True):

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from api_client import image
+from brahe.ccsds import AEM
 from fake_worker import CUBE
 from server_process import Server
 
@@ -68,6 +69,17 @@ def test_a_pass_is_posted_and_watched_and_plotted(server, folder):
     figure = folder / "track.png"
     assert "4 frames" in run("plot_track.py", session_id, "--url", server.url, "--out", figure)
     assert cv2.imread(str(figure)).shape[0] > 1000
+
+
+def test_pngs_give_an_attitude_file_with_a_pointing_and_a_table_without(server, folder):
+    given = ("observatory_pass.py", folder / "sat.glb", folder / "sky", folder / "frames", "--url", server.url)
+    told = run(*given, "--out", folder / "plain.aem")
+    assert f"written: {folder / 'plain.csv'}" in told and (folder / "plain.csv").read_text().count("\n") == 5
+    rows = [f"{k},{START}.{k}Z,{10 + k},20,0" for k in range(4)]
+    (folder / "pointing.csv").write_text("frame,time,ra_deg,dec_deg,position_angle_deg\n" + "\n".join(rows))
+    run(*given, "--pointing", folder / "pointing.csv", "--out", folder / "pass.aem")
+    segments = AEM.from_str((folder / "pass.aem").read_text()).segments
+    assert sum(len(segment.states) for segment in segments) == 4
 
 
 class Dome(BaseHTTPRequestHandler):

@@ -21,7 +21,7 @@ FRAMES = 12
 
 @pytest.fixture(scope="module")
 def cluster():
-    pytest.importorskip("ray", reason="Ray is not installed (pip install 'skypose[ray]')")
+    pytest.importorskip("ray", reason="Ray is not installed (pip install ray)")
     from ray_cluster import ray_cluster
 
     with ray_cluster(2) as cluster:

@@ -8,7 +8,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from astropy.io import fits
+from brahe.ccsds import AEM
 
 from service.cli.demo_service import ServiceProcess
 
@@ -68,10 +72,15 @@ def test_python(blocks: list[tuple[str, str]], folder: Path, port: int) -> None:
 
 
 def test_the_client_page(root: Path, folder: Path, port: int) -> None:
-    (script,) = re.findall(r"^```python\n(.*?)^```$", (root / "docs" / "client.md").read_text(), flags=re.M | re.S)
+    script, short = re.findall(r"^```python\n(.*?)^```$", (root / "docs" / "client.md").read_text(), flags=re.M | re.S)
+    (folder / "pass" / "fits").mkdir()
+    pixels = cv2.imread(str(folder / "pass" / "frames" / "000.png"), cv2.IMREAD_UNCHANGED)
+    hdu = fits.PrimaryHDU(np.atleast_3d(pixels)[::-1, :, 0])
+    hdu.header.update({"DATE-AVG": "2026-11-20T03:04:05", "RA": 10.0, "DEC": 20.0})
+    hdu.writeto(folder / "pass" / "fits" / "000.fits")
     done = subprocess.run(
         [sys.executable, "-W", "error", "-"],
-        input=script.replace(":8000", f":{port}"),
+        input=(script + short).replace(":8000", f":{port}"),
         cwd=folder,
         capture_output=True,
         text=True,
@@ -79,6 +88,8 @@ def test_the_client_page(root: Path, folder: Path, port: int) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == f"frame-gap frame 99 is not the next; frame {FRAMES} is {FRAMES}"
+    (segment,) = AEM.from_str((folder / "pass.aem").read_text()).segments
+    assert [state.epoch.isostring() for state in segment.states] == ["2026-11-20T03:04:05Z"]
 
 
 def test_ingest(root: Path, folder: Path, port: int) -> None:

@@ -49,7 +49,7 @@ def run(examples: int, seed: int, phases: str, worker: str | None = None) -> Run
                     *("--request-timeout", "60", "--warnings", "off", "--suppress-health-check", "all"),
                 ],
                 cwd=folder,
-                env={**os.environ, "PYTHONPATH": str(ROOT), "SCHEMATHESIS_HOOKS": "tests.fuzz.schema_hooks"},
+                env={**os.environ, "PYTHONPATH": str(ROOT)},
                 capture_output=True,
                 text=True,
                 check=False,

@@ -3,10 +3,13 @@
 import csv
 import json
 import struct
+from datetime import datetime
 
 import cv2
 import numpy as np
 import pytest
+from astropy.io import fits
+from brahe.ccsds import AEM
 from typer.testing import CliRunner
 
 from service.cli import app
@@ -73,19 +76,70 @@ def test_track_writes_estimates_and_a_sheet(folder, tmp_path):
     lines = [json.loads(line) for line in (tmp_path / "estimates.jsonl").read_text().splitlines()]
     assert [row["name"] for row in rows] == ["000.png", "001.png", "002.png"]
     for k, (row, line) in enumerate(zip(rows, lines, strict=True)):
-        assert line["index"] == k
-        assert float(row["time_s"]) == pytest.approx(0.1 * k)
-        assert float(row["qx"]) == pytest.approx(line["best"]["orientation"]["x"], abs=1e-7)
-        assert float(row["wing"]) == pytest.approx(line["best"]["joints"]["wing"], abs=1e-3)
+        assert line["index"] == int(row["index"]) == k
+        assert row["time"] == line["time"]
+        assert float(row["qx"]) == line["best"]["orientation"]["x"]
+        assert float(row["joint:wing_deg"]) == line["best"]["joints"]["wing"]
         assert line["particles"] == 50
     assert cv2.imread(str(tmp_path / "contact_sheet.png")).shape[0] > 2 * 256
 
 
 def test_without_empty_frames_the_sky_is_that_around_the_body(folder, tmp_path):
     arguments = ["track", "--mesh", "demo", "--frames", str(folder / "frames"), "--out", str(tmp_path)]
-    assert RUNNER.invoke(app, [*arguments, "--preset", "paper", "--particles", "50"]).exit_code == 0
+    elsewhere = {"SKYPOSE_DATABASE_URL": "postgresql+psycopg://nobody@127.0.0.1:1/none"}  # of another service
+    told = RUNNER.invoke(app, [*arguments, "--preset", "paper", "--particles", "50"], env=elsewhere)
+    assert told.exit_code == 0, told.output
     lines = [json.loads(line) for line in (tmp_path / "estimates.jsonl").read_text().splitlines()]
-    assert [line["assumed"] for line in lines] == [["background"]] * 3
+    assert [line["assumed"] for line in lines] == [["background", "time"]] * 3
+
+
+def test_a_file_of_several_frames_is_posted_whole(folder, tmp_path):
+    frames = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((folder / "frames").iterdir())]
+    np.save(tmp_path / "stack.npy", np.stack(frames))
+    arguments = ["track", "--mesh", "demo", "--frames", str(tmp_path / "stack.npy"), "--out", str(tmp_path / "out")]
+    arguments += ["--start", "2026-11-20T03:04:05Z", "--interval", "0.5", "--preset", "paper", "--particles", "50"]
+    told = RUNNER.invoke(app, arguments)
+    assert told.exit_code == 0 and "no attitude.aem" in told.output, told.output
+    with (tmp_path / "out" / "estimates.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == [f"stack.npy#{k}" for k in range(3)]
+    assert [row["time"] for row in rows] == [f"2026-11-20T03:04:{second}Z" for second in ("05.000", "05.500", "06.000")]
+    assert cv2.imread(str(tmp_path / "out" / "contact_sheet.png")).shape[0] > 2 * 256
+
+
+TLE = (
+    "1 25544U 98067A   19343.69339541  .00001764  00000-0  38792-4 0  9991\n"
+    "2 25544  51.6439 211.2001 0007417  17.6667  85.6398 15.50103472202482"
+)
+
+
+def test_run_makes_an_attitude_file_of_a_folder_of_fits(tmp_path):
+    (tmp_path / "iss.tle").write_text(TLE)
+    seen = ["--site", "48.23,16.34,250", "--tle", str(tmp_path / "iss.tle")]
+    when = ["--time", "2019-12-11T15:05:00Z", "--up-angle", "25"]
+    simulate = ["simulate", "--out", str(tmp_path), "--frames", "2", "--size", "96x96", *seen, *when]
+    assert RUNNER.invoke(app, simulate).exit_code == 0
+    with (tmp_path / "pointing.csv").open() as file:
+        truth = list(csv.DictReader(file))
+    (tmp_path / "fits").mkdir()
+    for k, row in enumerate(truth):
+        pixels = cv2.imread(str(tmp_path / "frames" / f"{k:03d}.png"), cv2.IMREAD_UNCHANGED)
+        hdu = fits.PrimaryHDU(pixels[::-1])  # FITS counts its rows from the bottom
+        cards = {"DATE-AVG": row["time"].rstrip("Z"), "RA": float(row["ra_deg"]), "DEC": float(row["dec_deg"])}
+        hdu.header.update(cards)
+        hdu.writeto(tmp_path / "fits" / f"{k}.fits")
+    out = tmp_path / "pass"
+    run = ["run", "--mesh", "demo", "--frames", str(tmp_path / "fits"), "--out", str(out), "--preset", "paper"]
+    told = RUNNER.invoke(app, [*run, *seen, "--up-angle", "25", "--particles", "1000", "--smoothed"])
+    assert told.exit_code == 0, told.output
+    with (out / "estimates.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == ["0.fits", "1.fits"]
+    assert [datetime.fromisoformat(row["time"]) for row in rows] == [datetime.fromisoformat(r["time"]) for r in truth]
+    states = [state for one in AEM.from_str((out / "attitude.aem").read_text()).segments for state in one.states]
+    assert len(states) == sum(row["status"] in ("acquiring", "ambiguous", "tracking") for row in rows)
+    first = json.loads((out / "estimates.jsonl").read_text().splitlines()[0])
+    assert first["orbit"]["range_km"] == pytest.approx(float(truth[0]["range_km"]), abs=1e-3)
 
 
 @pytest.mark.parametrize(

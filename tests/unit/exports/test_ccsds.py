@@ -1,5 +1,6 @@
 """AEM and APM, read by a program of other people."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -58,3 +59,16 @@ def test_lines_are_where_the_standard_wants_them():
     # Q1 Q2 Q3 QC: the scalar of "90 degrees about x" comes fourth.
     row = next(line for line in lines if line.startswith("2026-11-20T03:04:06"))
     assert [float(value) for value in row.split()[1:5]] == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5])
+
+
+def test_spreads_are_comments_before_the_rows():
+    one = history(breaks=())
+    samples = tuple(replace(sample, sigma_deg=np.array([0.1, 0.2, 0.3])) for sample in one.segments[0])
+    text = write_aem(replace(one, segments=(samples,)))
+    lines = text.splitlines()
+    at = lines.index("DATA_START")
+    assert lines[at + 1] == "COMMENT Standard deviations about the body axes X, Y, Z in degrees, by epoch:"
+    assert lines[at + 2] == "COMMENT 2026-11-20T03:04:05.250000 0.100000 0.200000 0.300000"
+    assert not lines[at + 2 + len(samples)].startswith("COMMENT")
+    (segment,) = AEM.from_str(text).segments
+    assert len(segment.states) == len(samples)

@@ -7,13 +7,14 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
+from brahe.ccsds import AEM
 from golden import ROTATIONS, START
 
 from service.errors import ConflictError
 from service.exports.formats import FORMATS, Subject, export
 from service.exports.history import read_history
 
-SUBJECT = Subject("my\nORIGINATOR = me", "", ("panel",), START)
+SUBJECT = Subject("my\nORIGINATOR = me", "", {"panel": "deg", "boom": "units"}, START)
 
 
 def pose(k: int, rate, known: bool) -> dict:
@@ -23,13 +24,18 @@ def pose(k: int, rate, known: bool) -> dict:
         attitude["angular_velocity_body_deg_s"] = rate
     numbers = dict.fromkeys(("yaw_deg", "pitch_deg", "roll_deg", "x_px", "y_px", "scale_px"), 1.5)
     orientation = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
-    return {"orientation": orientation, **numbers, "joints": {"panel": 2.0}, "attitude": attitude if known else None}
+    return {
+        "orientation": orientation,
+        **numbers,
+        "joints": {"panel": 2.0, "boom": 0.5},
+        "attitude": attitude if known else None,
+    }
 
 
 def estimate(k: int, *, status: str = "tracking", rate=None, known: bool = True, seconds: float | None = None) -> dict:
     time = START + timedelta(seconds=k if seconds is None else seconds)
     found = pose(k, rate, known)
-    spread = {"orientation_deg": 1.0, "covariance": np.eye(7).tolist()}
+    spread = {"orientation_deg": 1.0, "covariance": np.diag([1.0, 4.0, 9.0, 1.0, 1.0, 1.0, 1.0]).tolist()}
     common = {"index": k, "time": time.isoformat(), "status": status, "ess": 10.0, "log_evidence": -1.0}
     return {**common, "best": found, "mean": found, "spread": spread}
 
@@ -47,11 +53,18 @@ def test_time_goes_on_and_signs_do_not_jump():
     assert all(a.quaternion @ b.quaternion >= 0 for a, b in itertools.pairwise(segment))
 
 
-def test_a_missing_rate_is_that_to_the_next_sample():
+def test_a_rate_that_is_not_known_is_not_made_up():
     states = [estimate(0), estimate(1, rate=[1.0, 2.0, 3.0])]
     first, second = read_history(states, "best", "a", "b", START).segments[0]
-    np.testing.assert_allclose(first.rate_deg_s, [90, 0, 0], atol=1e-9)
+    assert first.rate_deg_s is None
     np.testing.assert_allclose(second.rate_deg_s, [1, 2, 3])
+    np.testing.assert_allclose(second.sigma_deg, [1, 2, 3])
+    assert "AttitudeTimeQuaternions\n" in export("stk", states, "best", SUBJECT).decode()
+    aem = AEM.from_str(export("aem", states, "best", SUBJECT).decode())
+    assert [(len(one.states), one.attitude_type) for one in aem.segments] == [
+        (1, "QUATERNION"),
+        (1, "QUATERNION/ANGVEL"),
+    ]
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -81,5 +94,7 @@ def test_tables_hold_every_frame():
         assert tuple(float(rows[k][f"gcrf_q{axis}"]) for axis in "wxyz") == pytest.approx(ROTATIONS[k][0])
         assert tuple(arrays["attitude_gcrf"][k]) == pytest.approx(ROTATIONS[k][0])
         assert float(rows[k]["body_rate_z_deg_s"]) == arrays["angular_velocity_body_deg_s"][k, 2] == k
-    assert arrays["joints"].shape == (8, 1) and arrays["covariance"].shape == (8, 7, 7)
+    assert (rows[0]["joint:panel_deg"], rows[0]["joint:boom_units"]) == ("2.0", "0.5")
+    assert list(arrays["joint_units"]) == ["deg", "units"]
+    assert arrays["joints"].shape == (8, 2) and arrays["covariance"].shape == (8, 7, 7)
     assert np.load(io.BytesIO(export("npz", [], "best", SUBJECT)))["orientation"].shape == (0, 4)

@@ -1,6 +1,7 @@
 """The estimate's JSON: finite or refused."""
 
 from dataclasses import replace
+from decimal import Decimal
 
 import numpy as np
 import orjson
@@ -8,7 +9,7 @@ import pytest
 
 from service.errors import SkyposeError
 from service.inference.state import Estimate, Mode, PoseEstimate, Spread
-from service.sessions.document import JointNames, as_duplicate, estimate_document
+from service.sessions.document import JointNames, as_duplicate, decimal_shares, estimate_document
 from service.workers.base import PackedFrameReport
 
 POSE = PoseEstimate(np.array([-0.5, 0.5, 0.5, 0.5]), np.array([10.0, 20.0]), 3.0, np.array([15.0]))
@@ -47,3 +48,11 @@ def test_what_is_not_finite_never_leaves(broken):
 def test_duplicate_differs_in_its_mark_only():
     first = orjson.loads(document(ESTIMATE))
     assert orjson.loads(as_duplicate(document(ESTIMATE))) == {**first, "duplicate": True}
+
+
+@pytest.mark.parametrize("shares", [[1 / 3] * 3, [0.7, 0.2, 0.1], [1.0], [1 - 1e-12, 1e-12], []])
+def test_weights_sum_to_one_as_they_are_written(shares):
+    written = orjson.dumps(decimal_shares(shares)).decode()
+    found = [Decimal(text) for text in written.strip("[]").split(",") if text]
+    assert sum(found) == bool(shares)
+    assert [float(value) for value in found] == pytest.approx(shares, abs=1e-9)

@@ -109,6 +109,12 @@ def test_the_folder_tells_a_session_all_that_it_can_be_told(demo, tmp_path):
         assert float(row["ra_deg"]) == pytest.approx(look.ra_deg, abs=1e-6)
         assert float(row["position_angle_deg"]) == 25.0
         assert float(row["sunlit"]) == look.sunlit
+    truth = np.array([[float(row[f"gcrf_q{axis}"]) for axis in "wxyz"] for row in rows])
+    turned = np.rad2deg(angle_between(truth[1:], truth[:-1]))
+    np.testing.assert_allclose(turned, 3.0, atol=1e-3)  # the body's own rate, 0.3 deg/s for ten seconds
+    cameras = np.stack([look.camera.to_gcrf for look in simulated.looks])
+    on_axis = from_matrices(cameras @ rotation_matrices(simulated.track.poses.quaternion))
+    assert np.rad2deg(angle_between(truth, on_axis)).max() < 1 / 3600
     effective(
         {"camera": {**{f"site_{k}": v for k, v in case["site"].items()}, **case["camera"]}}
     )  # as a session has it
