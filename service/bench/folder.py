@@ -30,12 +30,9 @@ class SequenceFolder:
     def case(self, shelf: ModelShelf) -> Case:
         """Read what describes the pass and prepare its model; the frames are read later, one by one."""
         described = json.loads((self.path / "case.json").read_text())
-        file = self._mesh(described["mesh"])
-        joints = tuple(_upload_entry(joint) for joint in described.get("joints", []))
-        ties = described.get("ties", {})  # follower -> leader, both joints of the mesh file itself
-        upload = tuple({"name": name, "tied_to": leader, "ratio": 1} for name, leader in ties.items()) or joints
-        model = shelf.model(file.name, file.read_bytes(), upload or None)
-        names = tuple(str(joint["name"]) for joint in joints if joint["name"] not in ties)
+        file = self.mesh(described["mesh"])
+        upload, names = upload_joints(described)
+        model = shelf.model(file.name, file.read_bytes(), upload)
         return Case(
             name=str(described["name"]),
             model=model,
@@ -58,8 +55,9 @@ class SequenceFolder:
             for k, row in enumerate(csv.DictReader(file)):
                 yield (self.path / "frames" / f"{k:03d}.png").read_bytes(), _truth(row, names)
 
-    def _mesh(self, name: str) -> Path:
-        roots = (*self.meshes, self.path, self.path.parent, self.path.parent.parent)
+    def mesh(self, name: str) -> Path:
+        """Where the mesh of that name lies. Raises ``SequenceError``."""
+        roots = (*self.meshes, self.path, *self.path.resolve().parents[:3])
         for root in roots:
             for candidate in (root / name, root / Path(name).name, root / "meshes" / Path(name).name):
                 if candidate.is_file():
@@ -108,6 +106,14 @@ def _direction(listed: Sequence[float] | None) -> Array | None:
 
 def _scale_prior(described: Mapping[str, float] | None) -> tuple[float, float] | None:
     return None if described is None else (float(described["px"]), float(described["relative_sigma"]))
+
+
+def upload_joints(described: Mapping[str, Any]) -> tuple[tuple[Mapping[str, Any], ...] | None, tuple[str, ...]]:
+    """``joints`` of an upload, and the names of those that are free, from a ``case.json``."""
+    joints = tuple(_upload_entry(joint) for joint in described.get("joints", []))
+    ties = described.get("ties", {})  # follower -> leader, both joints of the mesh file itself
+    upload = tuple({"name": name, "tied_to": leader, "ratio": 1} for name, leader in ties.items()) or joints
+    return upload or None, tuple(str(joint["name"]) for joint in joints if joint["name"] not in ties)
 
 
 def _upload_entry(joint: Mapping[str, Any]) -> dict[str, Any]:
