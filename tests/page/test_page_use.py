@@ -34,6 +34,10 @@ def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessi
     shows(page, FRAMES - 1)
     assert overflow(page) == 0
     assert findings(page) == []
+    assert header_height(page, "live, looking at the past") == header_height(page, "live") < 64
+    for name in ("Keyboard shortcuts", "New track"):
+        expect(page.get_by_role("button", name=name)).to_be_visible()
+    expect(page.get_by_role("link", name="API")).to_be_visible()
     page.get_by_role("button", name="New track").click()
     page.locator("select[name=model]").select_option(index=1)
     for details in ("Not sure which spacecraft it is?", "Telescope, site and orbit", "More settings"):
@@ -49,6 +53,12 @@ def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessi
 def overflow(page) -> int:
     """Pixels that the page is wider than its screen."""
     return page.evaluate("() => document.documentElement.scrollWidth - document.documentElement.clientWidth")
+
+
+def header_height(page, says: str) -> float:
+    """Of the page's head while the lamp says this."""
+    page.evaluate("(says) => { document.querySelector('#link .text').textContent = says; }", says)
+    return page.locator("#top").bounding_box()["height"]
 
 
 def findings(page) -> list[str]:
@@ -85,6 +95,18 @@ def test_keyboard(server, sessions, open_page):
     expect(page.locator(f'[data-session="{other}"]')).not_to_have_attribute("aria-current", "true")
     page.keyboard.press("n")
     expect(page.get_by_role("dialog", name="New track")).to_be_visible()
+
+
+def test_a_link_to_a_session_that_is_not_there_opens_no_other(server, sessions, open_page):
+    page = open_page(f"{server.url}/#11111111-2222-4333-8444-555555555555", expect_failures=True)
+    missing = page.locator("#missing")
+    expect(missing).to_contain_text("11111111-2222-4333-8444-555555555555")
+    expect(page.locator("#session")).to_be_hidden()
+    expect(page.locator('#sessions [aria-current="true"]')).to_have_count(0)
+    page.evaluate("(id) => { location.hash = id; }", sessions[0])  # as another link on the same page
+    shows(page, FRAMES - 1)
+    expect(missing).to_be_hidden()
+    expect(page.locator(f'[data-session="{sessions[0]}"]')).to_have_attribute("aria-current", "true")
 
 
 def test_every_control_is_reached_by_tab(server, sessions, open_page):

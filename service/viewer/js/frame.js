@@ -3,7 +3,7 @@ import { modeColour } from "./colours.js";
 import { Painter, pixelRatio } from "./gl.js";
 import { Outlines } from "./outline.js";
 
-const ZOOM_RADII = 1.5; // half the width of the zoomed view, in radii of the body
+const ZOOM_MARGIN = 1.25; // width of the zoomed view, in widths of the body
 
 export class FrameView {
   constructor(figure, api) {
@@ -83,14 +83,8 @@ export class FrameView {
 
   // The part of the image in view, px, with the shape of the element.
   window(width, height) {
-    const { width: w, height: h } = this.size;
-    let [x, y, reach] = [w / 2, h / 2, Math.max(w / width, h / height) / 2];
-    if (this.options.zoom && this.shown && this.body) {
-      const { best } = this.shown;
-      [x, y] = [best.x_px, best.y_px];
-      reach = (ZOOM_RADII * best.scale_px * this.body.radius) / Math.min(width, height);
-    }
-    return { left: x - reach * width, right: x + reach * width, top: y - reach * height, bottom: y + reach * height };
+    const zooms = this.options.zoom && this.shown && this.body;
+    return windowOn(this.size, width, height, zooms ? this.body.box(this.shown.best) : null);
   }
 
   draw(width, height) {
@@ -125,4 +119,16 @@ export class FrameView {
     const best = { pose: shown.best, colour: modeColour(0), width: 1.4, strength: 1, tint: 0.13 };
     return [...lines, best];
   }
+}
+
+// The part of an image that a view shows, px: all of it, or `box`, where that is less.
+export function windowOn(image, width, height, box) {
+  const reach = (w, h) => Math.max(w / width, h / height) / 2;
+  const [w, h] = box ? [box.max.x - box.min.x, box.max.y - box.min.y].map((side) => ZOOM_MARGIN * Math.max(side, 1))
+    : [Infinity, Infinity];
+  const half = Math.min(reach(w, h), reach(image.width, image.height));
+  const along = (middle, size, room) => (2 * room >= size ? size / 2 : Math.min(Math.max(middle, room), size - room));
+  const x = along(box ? (box.min.x + box.max.x) / 2 : 0, image.width, half * width);
+  const y = along(box ? (box.min.y + box.max.y) / 2 : 0, image.height, half * height);
+  return { left: x - half * width, right: x + half * width, top: y - half * height, bottom: y + half * height };
 }

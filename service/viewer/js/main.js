@@ -22,7 +22,7 @@ const cloud = new CloudView($("cloud"), api);
 const readout = new Readout($("readout"), (rank) => watch.inspect(rank));
 const plots = new Plots($("plots"), (time) => watch.goToTime(time));
 const timeline = new Timeline($("timeline"), { goTo: (index) => watch.goTo(index), live: () => watch.goLive() });
-const heading = addHeading(api, { deleted: () => list.refresh() });
+const heading = addHeading(api, { deleted: () => forget() });
 const watch = new Watch(api, { frame, model, cloud, readout, plots, timeline, heading });
 const list = new SessionList($("sessions"), api, {
   choose: (session) => open(session),
@@ -35,21 +35,60 @@ const create = new CreateDialog($("create"), api, async (plan) => {
   if (session) open(session);
 });
 
+let absent = null; // the id of a link that led nowhere
+
 function open(session) {
+  present("session");
   list.chosen = session.session_id;
   history.replaceState(null, "", `#${session.session_id}`);
   list.draw();
   watch.open(session);
 }
 
-// After every look at the list: choose one where none is chosen, or say how to begin.
+// One of: how to begin, a session, or that a link leads nowhere.
+function present(section) {
+  for (const id of ["welcome", "session", "missing"]) $(id).hidden = id !== section;
+}
+
+const linked = () => decodeURIComponent(location.hash.slice(1)) || null;
+
+// After every look at the list: the session that is chosen or that the address names; else the newest.
 function arrange(sessions) {
-  $("welcome").hidden = sessions.length > 0;
-  $("session").hidden = !sessions.length;
-  const chosen = sessions.find((session) => session.session_id === list.chosen);
-  if (chosen) watch.update(chosen);
-  else if (sessions.length) open(sessions.find((s) => `#${s.session_id}` === location.hash) ?? sessions[0]);
-  else watch.close();
+  const id = list.chosen ?? linked();
+  const known = sessions.find((session) => session.session_id === id);
+  if (known) take(known);
+  else if (id) seek(id);
+  else if (sessions.length) open(sessions[0]);
+  else {
+    watch.close();
+    present("welcome");
+  }
+}
+
+function take(session) {
+  if (session.session_id === list.chosen) watch.update(session);
+  else open(session);
+}
+
+// A session that the list does not reach back to, or that is not there: no other is shown in its place.
+async function seek(id) {
+  if (id === absent) return;
+  try {
+    take(await api.json(`/v1/sessions/${encodeURIComponent(id)}`));
+  } catch (error) {
+    if (error.status !== 404 && error.status !== 422) throw error;
+    absent = id;
+    list.chosen = null;
+    watch.close();
+    $("missing").querySelector("code").textContent = id;
+    present("missing");
+  }
+}
+
+function forget() {
+  list.chosen = absent = null;
+  history.replaceState(null, "", location.pathname);
+  return list.refresh();
 }
 
 function toggle(name) {
@@ -89,6 +128,11 @@ for (const button of document.querySelectorAll("[data-toggle]")) {
 }
 $("more").addEventListener("click", () => create.open(watch.session));
 for (const id of ["new", "welcome-new"]) $(id).addEventListener("click", () => create.open());
+$("missing").querySelector("button").addEventListener("click", forget);
+addEventListener("hashchange", () => {
+  list.chosen = absent = null;
+  list.refresh();
+});
 $("night").addEventListener("click", redLight);
 $("help-button").addEventListener("click", () => $("help").showModal());
 $("help").querySelector(".close").addEventListener("click", () => $("help").close());
