@@ -58,7 +58,7 @@ def test_from_an_empty_service_to_a_track(tracker, folder, open_page):
     session = httpx.get(f"{tracker.url}/v1/sessions").json()["sessions"][0]
     assert (session["frames"], session["background_frames"], session["joints"]["free"]) == (FRAMES, 10, ["wing"])
     estimate = httpx.get(f"{tracker.url}/v1/sessions/{session['session_id']}/estimates/latest").json()
-    expect(page.locator("#readout dl")).to_contain_text(f"{estimate['best']['yaw_deg']:.2f} ±")
+    expect(page.locator("#readout dl").first).to_contain_text(f"{estimate['best']['yaw_deg']:.2f} ±")
 
     picture_shows(page, FRAMES - 1)
     seen = silhouette_on_screen(page)
@@ -79,7 +79,7 @@ def scrub(page) -> None:
     shows(page, 3)
     page.keyboard.press("Home")
     shows(page, 0)
-    plot = page.locator(".strip canvas").first
+    plot = page.locator(".strip .u-over").first
     plot.click(position={"x": plot.bounding_box()["width"] - 6, "y": 40})
     shows(page, FRAMES - 1)
     page.keyboard.press("Home")

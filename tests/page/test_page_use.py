@@ -97,6 +97,33 @@ def test_keyboard(server, sessions, open_page):
     expect(page.get_by_role("dialog", name="New track")).to_be_visible()
 
 
+def test_plots_tell_values_and_are_zoomed(server, sessions, open_page):
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    shows(page, FRAMES - 1)
+    plot, value = page.locator(".strip .u-over").first, page.locator(".strip output").first
+    whole = page.locator("#whole")
+    found = httpx.get(f"{server.url}/v1/sessions/{sessions[0]}/estimates").json()["estimates"]
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    page.mouse.move(box["x"] + 1, box["y"] + 20)
+    expect(page.locator("#pointed")).to_have_text(re.compile("^frame 0, 0.00 s"))
+    expect(value).to_have_text(f"{found[0]['best']['yaw_deg']:.2f} °")
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] / 4, box["y"] + 20, steps=3)
+    page.mouse.up()
+    expect(whole).to_be_visible()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] - 200)
+    expect(value).to_have_text(f"{found[-1]['best']['yaw_deg']:.2f} °")  # of the frame that is shown, again
+    plot.click(position={"x": box["width"] / 2, "y": 20})  # within the part: its nearest frame
+    shows(page, 0)
+    whole.click()
+    expect(whole).to_be_hidden()
+    page.keyboard.press("+")
+    expect(whole).to_be_visible()
+    page.keyboard.press("0")
+    expect(whole).to_be_hidden()
+
+
 def test_a_link_to_a_session_that_is_not_there_opens_no_other(server, sessions, open_page):
     page = open_page(f"{server.url}/#11111111-2222-4333-8444-555555555555", expect_failures=True)
     missing = page.locator("#missing")

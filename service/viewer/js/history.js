@@ -95,6 +95,8 @@ export function rowOf(estimate) {
     accuracy: estimate.modes[0]?.spread.orientation_deg ?? estimate.spread.orientation_deg,
     ess: estimate.ess,
     particles: estimate.particles,
+    probabilities: estimate.probabilities ?? undefined,
+    fit: estimate.fit ?? undefined,
     latency: estimate.timing_ms.total ?? 0,
   };
 }

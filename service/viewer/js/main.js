@@ -20,7 +20,11 @@ const frame = new FrameView($("frame"), api);
 const model = new ModelView($("model"));
 const cloud = new CloudView($("cloud"), api);
 const readout = new Readout($("readout"), (rank) => watch.inspect(rank));
-const plots = new Plots($("plots"), (time) => watch.goToTime(time));
+const plots = new Plots($("plots"), {
+  goTo: (time) => watch.goToTime(time),
+  says: (text) => { $("pointed").textContent = text; },
+  zoomed: (whether) => { $("whole").hidden = !whether; },
+});
 const timeline = new Timeline($("timeline"), { goTo: (index) => watch.goTo(index), live: () => watch.goLive() });
 const heading = addHeading(api, { deleted: () => forget() });
 const watch = new Watch(api, { frame, model, cloud, readout, plots, timeline, heading });
@@ -114,6 +118,7 @@ new Shortcuts([
   ["first frame, last frame", { Home: () => timeline.step(-Infinity), End: () => timeline.step(Infinity) }],
   ["back to live", { l: () => timeline.goLive() }],
   ["next session, the one before", { j: () => neighbour(1), k: () => neighbour(-1) }],
+  ["plots: nearer, farther, the whole pass", { "+": () => plots.zoom(), "-": () => plots.zoom(0.5), 0: () => plots.choose(null) }],
   ["new track", { n: () => create.open() }],
   ["outline of the best pose on or off", { o: () => toggle("outlines") }],
   ["other modes on or off", { m: () => toggle("modes") }],
@@ -138,8 +143,9 @@ $("help-button").addEventListener("click", () => $("help").showModal());
 $("help").querySelector(".close").addEventListener("click", () => $("help").close());
 $("window").addEventListener("change", (event) => {
   plots.seconds = Number(event.target.value) || null;
-  plots.request();
+  plots.choose(null);
 });
+$("whole").addEventListener("click", () => plots.choose(null));
 if (localStorage.getItem("skypose.red")) redLight();
 addEventListener("unhandledrejection", (event) => {
   event.preventDefault();

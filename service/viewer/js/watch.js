@@ -2,6 +2,7 @@
 import { loadBody } from "./body.js";
 import { History } from "./history.js";
 import { tellProblem } from "./notices.js";
+import { nearestRow } from "./plots.js";
 import { Stream } from "./stream.js";
 
 const USUAL_HEARTBEAT_S = 15, TRAIL_ROWS = 600;
@@ -114,7 +115,8 @@ export class Watch {
     this.showPose();
     views.readout.show(estimate, this.kinds, (id) => this.names.get(id) ?? id.slice(0, 8));
     views.timeline.show(this.position());
-    views.plots.build(Object.keys(estimate.spread.joints).map((name) => ({ name, kind: this.kinds[name] ?? "revolute" })));
+    const joints = Object.keys(estimate.spread.joints).map((name) => ({ name, kind: this.kinds[name] ?? "revolute" }));
+    views.plots.build(joints, Boolean(estimate.probabilities));
     views.plots.show(this.history.rows, this.history.row(estimate.index) ?? null, this.cursor === null);
     views.heading.show(estimate);
     document.documentElement.dataset.shown = estimate.index; // for tests, and for whoever scripts the page
@@ -157,18 +159,10 @@ export class Watch {
 
   goToTime(time) {
     const { rows } = this.history;
-    let [low, high] = [0, rows.length - 1];
-    while (low < high) {
-      const middle = (low + high + 1) >> 1;
-      if (rows[middle].time <= time) low = middle;
-      else high = middle - 1;
-    }
-    const after = rows[low + 1];
-    const nearest = after && after.time - time < time - rows[low].time ? after : rows[low];
-    if (nearest) {
-      this.views.timeline.stop();
-      this.goTo(nearest.index);
-    }
+    const nearest = rows[nearestRow(rows, time)];
+    if (!nearest) return;
+    this.views.timeline.stop();
+    this.goTo(nearest.index);
   }
 
   goLive() {
