@@ -77,6 +77,18 @@ def test_what_is_known_of_the_sky_is_told(answers):
     assert answers("sky_readout", "return m.skyRows(given)", nothing) == []
 
 
+def test_grey_levels_go_through_contrast_and_colours(answers):
+    def colour(level, gain, name):
+        body = "const [level, ...how] = given; return [...m.table(...how)].slice(3 * level, 3 * level + 3);"
+        return answers("tone", body, [level, gain, name])
+
+    assert colour(100, 1, "grey") == [100, 100, 100]
+    assert colour(100, 2, "grey") == [200, 200, 200]
+    assert colour(200, 2, "grey") == [255, 255, 255]
+    assert colour(0, 1, "inverted") == [255, 255, 255]
+    assert colour(255, 1, "viridis") == [0xFD, 0xE7, 0x25]
+
+
 AS_IT_IS = {"w": 1, "x": 0, "y": 0, "z": 0}
 SKY = {
     "best": {

@@ -4,7 +4,9 @@ import json
 import re
 from pathlib import Path
 
+import cv2
 import httpx
+import numpy as np
 import pytest
 from fake_worker import CUBE
 from passes import PNG, begin, fake_pass
@@ -88,6 +90,20 @@ def test_keyboard(server, sessions, open_page):
         expect(page.get_by_role("button", name=name)).to_have_attribute("aria-pressed", "false")
     page.keyboard.press("z")
     expect(page.get_by_role("button", name="Zoom")).to_have_attribute("aria-pressed", "true")
+    page.keyboard.press("d")
+    for name in ("What the frame should look like", "What the model’s image leaves over"):
+        expect(page.get_by_role("img", name=name)).to_be_visible()
+    before = page.locator("#frame .stage").first.screenshot()
+    page.keyboard.press("]")
+    page.keyboard.press("c")
+    expect(page.get_by_label("Contrast")).to_have_attribute("aria-valuetext", re.compile(r"^1\.41"))
+    expect(page.get_by_label("Colours")).to_have_value("inverted")
+    with page.expect_download() as download:
+        page.keyboard.press("s")
+    assert download.value.suggested_filename.endswith(f"-frame-{FRAMES - 1}.png")
+    saved = cv2.imread(download.value.path())
+    assert saved.shape[0] > 100 and np.median(saved) > 128  # as it is seen: a dark sky, inverted
+    assert page.locator("#frame .stage").first.screenshot() != before
     page.keyboard.press("r")
     expect(page.locator("#red")).to_be_visible()
     other = page.locator('#sessions [aria-current="true"]').get_attribute("data-session")

@@ -2,6 +2,7 @@
 import { Api } from "./api.js";
 import { CloudView } from "./cloud.js";
 import { CreateDialog } from "./create.js";
+import { FrameTools } from "./tools.js";
 import { FrameView } from "./frame.js";
 import { ModelView } from "./model.js";
 import { askKey, tellProblem } from "./notices.js";
@@ -16,7 +17,8 @@ import { follow } from "./progress.js";
 
 const $ = (id) => document.getElementById(id);
 const api = new Api(askKey);
-const frame = new FrameView($("frame"), api);
+const frame = new FrameView($("frame"), api, (wide) => $("views").classList.toggle("wide-frame", wide));
+const tools = new FrameTools($("frame"), frame);
 const model = new ModelView($("model"));
 const cloud = new CloudView($("cloud"), api);
 const readout = new Readout($("readout"), (rank) => watch.inspect(rank));
@@ -95,11 +97,6 @@ function forget() {
   return list.refresh();
 }
 
-function toggle(name) {
-  const on = frame.toggle(name);
-  document.querySelector(`[data-toggle="${name}"]`).setAttribute("aria-pressed", String(on));
-}
-
 function redLight() {
   const on = document.body.classList.toggle("red");
   $("night").setAttribute("aria-pressed", String(on));
@@ -120,17 +117,18 @@ new Shortcuts([
   ["next session, the one before", { j: () => neighbour(1), k: () => neighbour(-1) }],
   ["plots: nearer, farther, the whole pass", { "+": () => plots.zoom(), "-": () => plots.zoom(0.5), 0: () => plots.choose(null) }],
   ["new track", { n: () => create.open() }],
-  ["outline of the best pose on or off", { o: () => toggle("outlines") }],
-  ["other modes on or off", { m: () => toggle("modes") }],
-  ["zoom to the object", { z: () => toggle("zoom") }],
+  ["outline of the best pose on or off", { o: () => tools.toggle("outlines") }],
+  ["other modes on or off", { m: () => tools.toggle("modes") }],
+  ["zoom to the object", { z: () => tools.toggle("zoom") }],
+  ["the model’s image and what it leaves over", { d: () => tools.toggle("model") }],
+  ["less contrast, more", { "[": () => tools.brighter(-0.5), "]": () => tools.brighter(0.5) }],
+  ["next colours", { c: () => tools.nextColours() }],
+  ["save what is seen of the frame", { s: () => tools.save() }],
   ["set the views back", { v: () => { model.resetView(); cloud.resetView(); } }],
   ["red light", { r: redLight }],
   ["this help", { "?": () => $("help").showModal() }],
 ], $("help"));
 
-for (const button of document.querySelectorAll("[data-toggle]")) {
-  button.addEventListener("click", () => toggle(button.dataset.toggle));
-}
 $("more").addEventListener("click", () => create.open(watch.session));
 for (const id of ["new", "welcome-new"]) $(id).addEventListener("click", () => create.open());
 $("missing").querySelector("button").addEventListener("click", forget);
