@@ -15,8 +15,8 @@ def sort(server, open_page):
               const { sort } = await import("/static/js/intake.js");
               const files = paths.map((path) => Object.assign(new File(["x"], path.split("/").at(-1)), { path }));
               const found = sort(files), names = (list) => list.map((file) => file.path);
-              const { model, sky, frames, ignored } = found;
-              return { model: names(model), sky: names(sky), frames: names(frames), ignored };
+              const { model, sky, frames, truth, ignored } = found;
+              return { model: names(model), sky: names(sky), frames: names(frames), truth: truth?.path, ignored };
             }""",
             list(paths),
         )
@@ -30,7 +30,8 @@ def test_a_folder_of_the_simulator(sort):
         "model": ["p/demo.glb"],
         "sky": ["p/background/0.png"],
         "frames": ["p/frames/9.png", "p/frames/10.png"],  # by number, not by letter
-        "ignored": 2,
+        "truth": "p/truth.csv",
+        "ignored": 1,
     }
 
 

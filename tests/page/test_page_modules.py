@@ -1,6 +1,13 @@
 """The page's own arithmetic, module by module, in the browser."""
 
+from datetime import UTC, datetime
+
+import numpy as np
 import pytest
+
+from service.attitude.camera import Site, horizontal_direction
+from service.attitude.sun import sun_from_earth
+from service.inference.pose import exp_so3, yaw_pitch_roll_deg
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +94,53 @@ def test_grey_levels_go_through_contrast_and_colours(answers):
     assert colour(200, 2, "grey") == [255, 255, 255]
     assert colour(0, 1, "inverted") == [255, 255, 255]
     assert colour(255, 1, "viridis") == [0xFD, 0xE7, 0x25]
+
+
+@pytest.mark.parametrize("moment", ["2026-11-21T17:30:44", "2019-06-01T03:00:00", "2031-03-20T12:00:00"])
+def test_the_sun_stands_where_the_service_has_it(answers, moment):
+    at = datetime.fromisoformat(moment).replace(tzinfo=UTC)
+    found = answers("ephemeris", "return m.sunAt(...given)", [at.timestamp(), 48.23, 16.34])
+    drawn = horizontal_direction(found["azimuth"], found["elevation"], Site(48.23, 16.34, 250.0), at)
+    true = sun_from_earth(at)
+    assert np.rad2deg(np.arccos(drawn @ true / np.linalg.norm(true))) < 0.05
+
+
+def test_the_earths_shadow_is_opposite_to_the_sun(answers):
+    def shadow(azimuth, elevation, radius, sun_elevation):
+        body = """const [seen, radius, sun] = given;
+          return m.inShadow(m.direction(seen), radius, m.direction(sun));"""
+        seen = {"azimuth": azimuth, "elevation": elevation}
+        return answers("ephemeris", body, [seen, radius, {"azimuth": 270, "elevation": sun_elevation}])
+
+    assert shadow(0, 90, 6771, -60)  # 400 km above, at night
+    assert not shadow(0, 90, 42164, -60)  # far out it is narrow
+    assert shadow(90, 20, 6771, -15) and not shadow(270, 20, 6771, -15)  # at dusk it rises in the east
+    assert not shadow(0, 90, 6771, 30)
+    assert answers("ephemeris", "return m.radiusOf(500, 90)") == 6871
+
+
+TRUTH = """frame,time_s,qx,qy,qz,qw,x_px,y_px,scale_px,visible,wing
+3,0.3,0,0,0,1,10,20,5,1,-7.5
+4,0.4,0,0,0,1,10,20,5,0,-7
+"""
+
+
+def test_a_truth_is_read(answers):
+    body = "const read = m.readTruth(given, 2); return [1, 2].map((k) => read.rowOf(k)?.best ?? null);"
+    first, hidden = answers("truth", body, TRUTH)
+    assert first == {"yaw": 0, "pitch": 0, "roll": 0, "x": 10, "y": 20, "scale": 5, "joint:wing": -7.5}
+    assert hidden is None  # the object is not visible in it
+    said = answers("truth", "try { m.readTruth(given); } catch (error) { return error.message; }", "frame,qx\n0,1")
+    assert said == "the truth lacks the columns qy, qz, qw, x_px, y_px, scale_px"
+
+
+def test_angles_are_those_of_the_service(answers):
+    turns = exp_so3(np.array([[0.3, -1.2, 2.0], [0.0, np.pi / 2, 0.0], [-2.5, 0.1, 0.4]]))
+    given = [dict(zip("wxyz", turn.tolist(), strict=True)) for turn in turns]
+    found = answers("rotation", "return given.map(m.yawPitchRoll)", given)
+    np.testing.assert_allclose(
+        [[one["yaw_deg"], one["pitch_deg"], one["roll_deg"]] for one in found], yaw_pitch_roll_deg(turns), atol=1e-6
+    )
 
 
 AS_IT_IS = {"w": 1, "x": 0, "y": 0, "z": 0}

@@ -11,10 +11,12 @@ import pytest
 from fake_worker import CUBE
 from passes import PNG, begin, fake_pass
 from playwright.sync_api import expect
-from watching import open_session, shows
+from watching import open_session, shows, stage
 
 AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
 FRAMES = 3
+TLE = """1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9002
+2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10006"""
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +140,47 @@ def test_plots_tell_values_and_are_zoomed(server, sessions, open_page):
     expect(whole).to_be_visible()
     page.keyboard.press("0")
     expect(whole).to_be_hidden()
+
+
+def test_another_session_is_compared(server, sessions, open_page):
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    shows(page, FRAMES - 1)
+    page.get_by_label("Compare with").select_option(sessions[1])
+    angle = page.locator("#plots figcaption").first
+    expect(angle).to_have_text(re.compile(r"^Angle to .*0\.00 °$"))  # the same frames, the same seed
+    assert page.url.endswith(f"#{sessions[0]}&with={sessions[1]}")
+    page.reload()
+    expect(angle).to_have_text(re.compile(r"^Angle to "))
+    page.get_by_label("Compare with").select_option("nothing")
+    expect(angle).to_have_text(re.compile("^Yaw"))
+    expect(page.locator("#sky")).to_be_hidden()  # no orbit is known
+
+
+def test_sky_and_sun_are_shown_where_they_are_known(server, open_page):
+    given = fake_pass(2)
+    known = {
+        "prior": {"orbit": TLE},
+        "camera": {"site_latitude_deg": 48.23, "site_longitude_deg": 16.34},
+        "light": {"sun": [0.6, 0.0, -0.8]},
+    }
+    with httpx.Client(base_url=server.url, timeout=60) as http:
+        session_id = begin(http, given, name="body.glb", **known)
+        for n, image in enumerate(given.frames):
+            when = {"time": ("2026-11-21T17:30:40Z", "2026-11-21T17:31:00Z")[n]}  # the Earth's shadow lies between
+            http.put(
+                f"/v1/sessions/{session_id}/frames/{n}", content=image, headers=PNG, params=when
+            ).raise_for_status()
+    page = open_page(f"{server.url}/#{session_id}")
+    shows(page, 1)
+    expect(page.locator("#sky figcaption")).to_have_text(re.compile(r"elevation 26\.\d°, Sun -23\.\d°"))
+    expect(page.locator("#readout .sky")).to_contain_text("in the Earth’s shadow")
+    expect(page.locator("#model .light")).to_have_text("in the Earth’s shadow")
+    page.keyboard.press("Home")
+    expect(page.locator("#model .light")).to_have_text("lit by the Sun")
+    for figure in ("#sky", "#model"):
+        assert np.ptp(stage(page, figure)) > 100
+    assert overflow(page) == 0
+    assert findings(page) == []
 
 
 def test_a_link_to_a_session_that_is_not_there_opens_no_other(server, sessions, open_page):

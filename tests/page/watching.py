@@ -44,7 +44,7 @@ def is_live(page: Page) -> None:
 def stage(page: Page, figure: str = "#frame") -> np.ndarray:
     """(H, W, 3) what a view shows on the screen, BGR."""
     page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    data = page.locator(f"{figure} .stage").screenshot()
+    data = page.locator(f"{figure} .stage").first.screenshot()
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).astype(np.int16)
 
 

@@ -37,6 +37,7 @@ export class FrameView {
     this.size = session?.background ?? null;
     this.wanted = this.shown = this.body = null;
     this.chosen = -1;
+    this.reference = null;
     for (const picture of this.pictures) picture.reset(session);
     this.outlines.setBody(null);
     this.caption.textContent = "";
@@ -69,6 +70,12 @@ export class FrameView {
     this.body = body;
     this.outlines.setBody(body);
     this.request();
+  }
+
+  // Another pose of each frame to draw, in white: comparison.js.
+  compare(reference) {
+    this.reference = reference;
+    this.painter.request();
   }
 
   highlight(rank) {
@@ -144,7 +151,8 @@ export class FrameView {
       tint: 0,
     })).slice(1, 8).reverse();
     const best = { pose: shown.best, colour: modeColour(0), width: 1.4, strength: 1, tint: 0.13 };
-    return [...lines, best];
+    const other = this.reference?.poseOf(shown.index);
+    return [...lines, ...(other ? [{ pose: other, colour: "#ffffff", width: 0.8, strength: 0.9, tint: 0 }] : []), best];
   }
 }
 

@@ -1,6 +1,7 @@
 // Wires the page: one chosen session, its stream and history, and the views of one estimate at a time.
 import { Api } from "./api.js";
 import { CloudView } from "./cloud.js";
+import { Comparison } from "./comparison.js";
 import { CreateDialog } from "./create.js";
 import { FrameTools } from "./tools.js";
 import { FrameView } from "./frame.js";
@@ -10,6 +11,7 @@ import { Plots } from "./plots.js";
 import { Readout } from "./readout.js";
 import { SessionList } from "./sessions.js";
 import { Shortcuts } from "./shortcuts.js";
+import { SkyView } from "./sky.js";
 import { Timeline } from "./timeline.js";
 import { Watch } from "./watch.js";
 import { addHeading } from "./heading.js";
@@ -29,26 +31,42 @@ const plots = new Plots($("plots"), {
 });
 const timeline = new Timeline($("timeline"), { goTo: (index) => watch.goTo(index), live: () => watch.goLive() });
 const heading = addHeading(api, { deleted: () => forget() });
-const watch = new Watch(api, { frame, model, cloud, readout, plots, timeline, heading });
+const watch = new Watch(api, { frame, model, cloud, sky: new SkyView($("sky")), readout, plots, timeline, heading });
+const comparison = new Comparison(api, $("compare"), $("truth-file"), {
+  changed: (reference) => watch.compare(reference),
+  named: (other) => address(list.chosen, other),
+});
 const list = new SessionList($("sessions"), api, {
   choose: (session) => open(session),
   changed: (sessions) => arrange(sessions),
 });
 const create = new CreateDialog($("create"), api, async (plan) => {
   const sent = await follow(api, plan);
+  if (plan.truth) await comparison.take(plan.truth.file, sent, plan.truth.first);
   await list.refresh();
   const session = list.sessions.find((item) => item.session_id === sent);
   if (session) open(session);
+}, (file) => {
+  if (watch.session) comparison.take(file);
+  return Boolean(watch.session);
 });
 
 let absent = null; // the id of a link that led nowhere
 
 function open(session) {
   present("session");
+  const [named, other] = linked();
   list.chosen = session.session_id;
-  history.replaceState(null, "", `#${session.session_id}`);
   list.draw();
   watch.open(session);
+  const beside = named === session.session_id ? other : undefined;
+  address(session.session_id, beside);
+  comparison.open(session, beside);
+}
+
+// The address names the session, and the one that it is compared with.
+function address(id, other) {
+  history.replaceState(null, "", other ? `#${id}&with=${other}` : `#${id}`);
 }
 
 // One of: how to begin, a session, or that a link leads nowhere.
@@ -56,11 +74,12 @@ function present(section) {
   for (const id of ["welcome", "session", "missing"]) $(id).hidden = id !== section;
 }
 
-const linked = () => decodeURIComponent(location.hash.slice(1)) || null;
+const linked = () => decodeURIComponent(location.hash.slice(1)).split("&with=").map((id) => id || undefined);
 
 // After every look at the list: the session that is chosen or that the address names; else the newest.
 function arrange(sessions) {
-  const id = list.chosen ?? linked();
+  comparison.offer(sessions);
+  const id = list.chosen ?? linked()[0];
   const known = sessions.find((session) => session.session_id === id);
   if (known) take(known);
   else if (id) seek(id);

@@ -1,5 +1,6 @@
 // The time plots: one strip per quantity, all over the same time, with one cursor.
 import { modeColour, STATUS } from "./colours.js";
+import { angleBetween } from "./rotation.js";
 import { Strip } from "./strip.js";
 
 const POSE = [
@@ -36,6 +37,15 @@ const joint = ({ name, kind }) => ({
   angle: kind === "revolute", value: (row) => row.best[`joint:${name}`],
 });
 
+const against = (spec, reference) => (
+  reference ? { ...spec, other: (row) => reference.rowOf(row.index)?.best[spec.key] } : spec);
+
+const angleTo = (reference) => ({ name: `Angle to ${reference.name}`, unit: "°", fromZero: true, pose: true, colour: "#ffffff",
+  value: (row) => {
+    const other = reference.rowOf(row.index);
+    return other && angleBetween(row.orientation, other.orientation);
+  } });
+
 export class Plots {
   // `goTo(time)` on a click; `says(text)` what the pointer is over; `zoomed(whether)` a part of the pass is shown
   constructor(element, { goTo, says, zoomed }) {
@@ -46,10 +56,12 @@ export class Plots {
     new ResizeObserver(() => this.request()).observe(element);
   }
 
-  // Strips for a session whose estimates have these joints: [{name, kind}]; `weighs`: they tell probabilities.
-  build(joints, weighs) {
-    const specs = [...POSE, ...joints.map(joint), ...HEALTH, ...(weighs ? EXISTENCE : [])];
-    const names = specs.map((spec) => spec.name).join();
+  // Strips for a session whose estimates have these joints: [{name, kind}]; `weighs`: they tell probabilities;
+  // `reference`: what it is compared with, or null (comparison.js).
+  build(joints, weighs, reference) {
+    const poses = [...POSE, ...joints.map(joint)].map((spec) => against(spec, reference));
+    const specs = [...(reference ? [angleTo(reference)] : []), ...poses, ...HEALTH, ...(weighs ? EXISTENCE : [])];
+    const names = specs.map((spec) => spec.name).join() + (reference?.id ?? "");
     if (names === this.names) return;
     this.names = names;
     const handlers = { goTo: (time) => this.goTo(time), zoom: (from, to) => this.choose([from, to]),

@@ -1,6 +1,7 @@
 // Numbers of the estimate that is shown, and its modes as a list to choose from.
 import { modeColour, STATUS } from "./colours.js";
 
+import { angleBetween } from "./rotation.js";
 import { skyRows } from "./sky_readout.js";
 
 const degrees = (value, spread) => `${value.toFixed(2)} ± ${spread.toFixed(2)}°`;
@@ -17,6 +18,7 @@ export class Readout {
 
   reset() {
     this.chosen = -1;
+    this.reference = null;
     this.numbers.replaceChildren();
     this.sky.replaceChildren();
     this.modes.replaceChildren();
@@ -27,7 +29,7 @@ export class Readout {
   show(estimate, kinds, nameOf) {
     const spread = estimate.modes[0]?.spread ?? estimate.spread;
     this.kinds = kinds;
-    fill(this.numbers, rows(estimate, spread, kinds).map(pair));
+    fill(this.numbers, [...rows(estimate, spread, kinds), ...this.compared(estimate)].map(pair));
     const sky = skyRows(estimate);
     fill(this.sky, sky.map(pair));
     this.sky.parentElement.hidden = !sky.length;
@@ -38,6 +40,12 @@ export class Readout {
       return item;
     }));
     this.models.parentElement.hidden = !estimate.models;
+  }
+
+  // How far it is from what it is compared with.
+  compared({ index, best }) {
+    const other = this.reference?.rowOf(index);
+    return other ? [[`Angle to ${this.reference.name}`, `${angleBetween(best.orientation, other.orientation).toFixed(2)}°`]] : [];
   }
 
   // Items are kept from frame to frame, so that a click between two of them is not lost.

@@ -3,6 +3,7 @@ import { loadBody } from "./body.js";
 import { History } from "./history.js";
 import { tellProblem } from "./notices.js";
 import { nearestRow } from "./plots.js";
+import { sunOnScreen } from "./rotation.js";
 import { Stream } from "./stream.js";
 
 const USUAL_HEARTBEAT_S = 15, TRAIL_ROWS = 600;
@@ -25,7 +26,7 @@ export class Watch {
 
   open(session) {
     this.close();
-    Object.assign(this, { session, cursor: null, rank: -1, kinds: {}, frames: session.frames });
+    Object.assign(this, { session, cursor: null, rank: -1, kinds: {}, frames: session.frames, reference: null });
     const { views } = this;
     views.frame.reset(session);
     views.model.reset();
@@ -116,8 +117,11 @@ export class Watch {
     views.readout.show(estimate, this.kinds, (id) => this.names.get(id) ?? id.slice(0, 8));
     views.timeline.show(this.position());
     const joints = Object.keys(estimate.spread.joints).map((name) => ({ name, kind: this.kinds[name] ?? "revolute" }));
-    views.plots.build(joints, Boolean(estimate.probabilities));
+    views.plots.build(joints, Boolean(estimate.probabilities), this.reference);
     views.plots.show(this.history.rows, this.history.row(estimate.index) ?? null, this.cursor === null);
+    const row = this.history.row(estimate.index);
+    views.sky.show(row?.place, this.trail(estimate.index).map((one) => one.place).filter(Boolean), row?.time, this.session.camera);
+    document.getElementById("views").classList.toggle("with-sky", Boolean(row?.place));
     views.heading.show(estimate);
     document.documentElement.dataset.shown = estimate.index; // for tests, and for whoever scripts the page
   }
@@ -129,9 +133,20 @@ export class Watch {
 
   showPose() {
     const mode = this.shown?.modes[this.rank];
-    if (this.shown) this.views.model.show(mode?.pose ?? this.shown.best);
+    if (this.shown) {
+      const sunlit = this.shown.light?.sunlit ?? null;
+      this.views.model.show(mode?.pose ?? this.shown.best, { sun: sunOnScreen(this.shown, this.session), sunlit });
+    }
     document.querySelector("#model .shown-mode").textContent =
       mode ? `mode ${this.rank + 1}, ${(100 * mode.weight).toFixed(0)} %` : "best pose";
+  }
+
+  // What it is compared with (comparison.js), or null.
+  compare(reference) {
+    this.reference = reference;
+    this.views.frame.compare(reference);
+    this.views.readout.reference = reference;
+    if (this.shown && this.history) this.show(this.shown);
   }
 
   // Look at one mode (-1: the best pose) in the model's view, and mark its outline.
