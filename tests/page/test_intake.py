@@ -2,6 +2,7 @@
 
 import pytest
 from playwright.sync_api import expect
+from watching import drop
 
 
 @pytest.fixture
@@ -61,12 +62,7 @@ def test_a_folder_is_dropped_on_the_page(server, open_page, tmp_path):
             (tmp_path / "pass" / folder / f"{n}.png").write_bytes(b"x")
     page = open_page(server.url)
     expect(page.locator("#link .text")).not_to_have_text("connecting")
-    session = page.context.new_cdp_session(page)
-    data = {"items": [], "files": [str(tmp_path / "pass")], "dragOperationsMask": 1}
-    for kind in ("dragEnter", "dragOver", "dragOver", "drop"):
-        session.send("Input.dispatchDragEvent", {"type": kind, "x": 600, "y": 400, "data": data})
-        if kind == "dragOver":
-            expect(page.locator("body")).to_have_class("dropping")  # what is under the pointer takes files
+    drop(page, tmp_path / "pass")
     expect(page.get_by_role("dialog", name="New track")).to_be_visible()
     expect(page.locator(".frame-facts")).to_have_text("120 files, 0.png to 119.png")
     expect(page.locator(".sky-facts")).to_have_text("pass/sky/0.png")

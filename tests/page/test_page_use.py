@@ -11,7 +11,7 @@ import pytest
 from fake_worker import CUBE
 from passes import PNG, begin, fake_pass
 from playwright.sync_api import expect
-from watching import open_session, shows, stage
+from watching import drop, open_session, shows, stage
 
 AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
 FRAMES = 3
@@ -36,6 +36,8 @@ def sessions(server):
 def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessions, open_page, width):
     page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=844)
     shows(page, FRAMES - 1)
+    assert overflow(page) == 0
+    page.keyboard.press("d")  # more of everything
     assert overflow(page) == 0
     assert findings(page) == []
     assert header_height(page, "live, looking at the past") == header_height(page, "live") < 64
@@ -142,7 +144,7 @@ def test_plots_tell_values_and_are_zoomed(server, sessions, open_page):
     expect(whole).to_be_hidden()
 
 
-def test_another_session_is_compared(server, sessions, open_page):
+def test_another_session_or_a_truth_is_compared(server, sessions, open_page, tmp_path):
     page = open_page(f"{server.url}/#{sessions[0]}")
     shows(page, FRAMES - 1)
     page.get_by_label("Compare with").select_option(sessions[1])
@@ -154,6 +156,10 @@ def test_another_session_is_compared(server, sessions, open_page):
     page.get_by_label("Compare with").select_option("nothing")
     expect(angle).to_have_text(re.compile("^Yaw"))
     expect(page.locator("#sky")).to_be_hidden()  # no orbit is known
+    (tmp_path / "truth.csv").write_text("frame,qx,qy,qz,qw,x_px,y_px,scale_px\n" + f"{FRAMES - 1},1,0,0,0,5,5,1\n")
+    drop(page, tmp_path / "truth.csv")  # alone: it is of the session that is shown
+    expect(angle).to_have_text(re.compile(r"^Angle to truth1\d\d\.\d+ °$"))  # half a turn, but for some degrees
+    expect(page.get_by_role("dialog")).to_have_count(0)
 
 
 def test_sky_and_sun_are_shown_where_they_are_known(server, open_page):

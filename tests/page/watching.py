@@ -1,6 +1,7 @@
 """What a user sees on the page, as words of the tests."""
 
 import re
+from pathlib import Path
 
 import cv2
 import httpx
@@ -27,6 +28,16 @@ def open_session(page: Page, session_id: str) -> None:
     """Choose a session in the list."""
     page.locator(f'[data-session="{session_id}"]').click()
     expect(page.locator(f'[data-session="{session_id}"]')).to_have_attribute("aria-current", "true")
+
+
+def drop(page: Page, path: Path) -> None:
+    """A real drop of a file or folder on the page."""
+    session = page.context.new_cdp_session(page)
+    data = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, "x": 600, "y": 400, "data": data})
+        if kind == "dragOver":
+            expect(page.locator("body")).to_have_class("dropping")  # what is under the pointer takes files
 
 
 def is_stale(page: Page) -> None:

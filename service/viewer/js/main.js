@@ -74,7 +74,7 @@ function present(section) {
   for (const id of ["welcome", "session", "missing"]) $(id).hidden = id !== section;
 }
 
-const linked = () => decodeURIComponent(location.hash.slice(1)).split("&with=").map((id) => id || undefined);
+const linked = () => location.hash.slice(1).split("&with=").map((id) => id || undefined);
 
 // After every look at the list: the session that is chosen or that the address names; else the newest.
 function arrange(sessions) {

@@ -64,7 +64,7 @@ export function lights() {
 class Sun {
   constructor() {
     this.light = new DirectionalLight(0xfff4e0, 3.2);
-    this.night = new HemisphereLight(0x8fb0e0, 0x1a2230, 0.35); // Earthshine, so to speak: no side is lost altogether
+    this.night = new HemisphereLight(0x8fb0e0, 0x2a3648, 0.7); // as by the Earth: no side is lost altogether
     this.arrow = new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 0.32, 0xffd479, 0.1, 0.06);
     this.label = new Sprite(new SpriteMaterial({ map: letter("☉", 0xffd479), depthTest: false }));
     this.label.scale.setScalar(0.2);

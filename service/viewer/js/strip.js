@@ -113,6 +113,7 @@ export class Strip {
     if (x < bbox.left || x > bbox.left + bbox.width) return;
     context.strokeStyle = INK.cursor;
     context.lineWidth = 1;
+    context.setLineDash([]); // the last series' are still set
     context.beginPath();
     context.moveTo(x, bbox.top);
     context.lineTo(x, bbox.top + bbox.height);
