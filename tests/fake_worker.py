@@ -98,7 +98,7 @@ class FakeWorker:
         if job.model not in self.blobs:
             raise MissingBlobError.of([job.model])
         image = cv2.cvtColor(decode(job.body, job.media_type), cv2.COLOR_GRAY2BGR)
-        if job.silhouette:
+        if job.show != "frame":
             image[..., 0] = 255
         return cv2.imencode(".png", image)[1].tobytes()
 

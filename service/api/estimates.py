@@ -81,7 +81,7 @@ async def read_estimate(session: ReadSession, index: Index, services: ServicesDe
 )
 async def read_overlay(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame with the best silhouette in blue (the paper's Table 1)."""
-    image = await services.archive.picture(session, index, silhouette=True)
+    image = await services.archive.picture(session, index, "overlay")
     return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
 
 
@@ -92,7 +92,32 @@ async def read_overlay(session: ReadSession, index: Index, services: ServicesDep
 )
 async def read_picture(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame alone, 8 bits, stretched where people would see nothing otherwise."""
-    image = await services.archive.picture(session, index, silhouette=False)
+    image = await services.archive.picture(session, index, "frame")
+    return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
+
+
+@router.get(
+    "/estimates/{index}/model.png",
+    response_class=Response,
+    responses={200: {"content": {"image/png": {}}}, **problems(404, 409, 410, 422, 503)},
+)
+async def read_model_picture(session: ReadSession, index: Index, services: ServicesDep) -> Response:
+    """What the frame should look like by the best pose: paint, light and blur as they explain it best."""
+    image = await services.archive.picture(session, index, "model")
+    return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
+
+
+@router.get(
+    "/estimates/{index}/residual.png",
+    response_class=Response,
+    responses={200: {"content": {"image/png": {}}}, **problems(404, 409, 410, 422, 503)},
+)
+async def read_residual(session: ReadSession, index: Index, services: ServicesDep) -> Response:
+    """The frame less `model.png`, both after the same low pass: orange where light is left, blue where it is missing.
+
+    Full colour is half of what lies between black and white in `frame.png`.
+    """
+    image = await services.archive.picture(session, index, "residual")
     return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
 
 

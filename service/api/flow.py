@@ -20,6 +20,8 @@ CHUNK_BYTES = 1 << 18
 _HEAVY = (
     "/overlay.png",
     "/frame.png",
+    "/model.png",
+    "/residual.png",
     "/frame.fits",
     "/particles",
     "/estimates",

@@ -14,6 +14,7 @@ Mask = NDArray[np.bool_]
 BLUE = (40, 100, 255)
 _TINT = 0.4
 _LEAST_SPAN = {8: 64.0, 16: 256.0}
+_MORE, _LESS = np.array([1.0, 0.62, 0.2]), np.array([0.3, 0.6, 1.0])  # told apart by colour-blind eyes too
 _DARK_PERCENTILE, _BRIGHT_PERCENTILE = 1.0, 99.9
 
 
@@ -23,13 +24,28 @@ def for_display(image: NDArray[np.uint8] | NDArray[np.uint16]) -> RGB:
     8-bit colour stays as it is. Anything else is stretched between its dark and bright percentiles; a frame of
     nothing but noise stays dark, because the stretch has a least span.
     """
+    return stretched(image, *stretch_of(image))
+
+
+def stretch_of(image: NDArray[np.uint8] | NDArray[np.uint16]) -> tuple[float, float]:
+    """What of a frame (H, W) or (H, W, 3) is shown as black, and so much above it as white; counts."""
     bits = image.dtype.itemsize * 8
     if image.ndim == 3 and bits == 8:
-        return np.asarray(image, dtype=np.uint8)
+        return 0.0, 255.0
     low, high = np.percentile(image, (_DARK_PERCENTILE, _BRIGHT_PERCENTILE))
-    span = max(float(high - low), _LEAST_SPAN[bits])
-    stretched = np.clip((image.astype(np.float32) - low) * (255.0 / span), 0, 255).astype(np.uint8)
-    return stretched if image.ndim == 3 else np.repeat(stretched[:, :, None], 3, axis=2)
+    return float(low), max(float(high - low), _LEAST_SPAN[bits])
+
+
+def stretched(image: NDArray[np.generic], low: float, span: float) -> RGB:
+    """(H, W) or (H, W, 3) counts -> (H, W, 3) uint8 RGB."""
+    shown = np.clip((image.astype(np.float32) - low) * (255.0 / span), 0, 255).astype(np.uint8)
+    return shown if image.ndim == 3 else np.repeat(shown[:, :, None], 3, axis=2)
+
+
+def draw_left_over(share: NDArray[np.floating]) -> RGB:
+    """(H, W) of -1 to 1 -> (H, W, 3) uint8 RGB: orange where light is left, blue where too much was expected."""
+    size = np.clip(np.abs(share), 0.0, 1.0)[:, :, None] * 255.0
+    return np.asarray(np.rint(np.where(share[:, :, None] > 0, size * _MORE, size * _LESS)), np.uint8)
 
 
 def draw_overlay(image: NDArray[np.uint8] | NDArray[np.uint16], mask: Mask) -> RGB:

@@ -20,13 +20,14 @@ from service.sessions import config as session_config
 from service.sessions.contenders import of_the_leader
 from service.sessions.frame_fits import image_with_pose, is_fits, original_with_pose
 from service.sessions.library import articulation_of
+from service.sessions.lighting import sun_in_image
 from service.sessions.particle_set import ParticleSet
 from service.sessions.smoothing import SmoothedPages
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, SessionRecord
 from service.store.database import Database
 from service.store.scope import SessionKey, model_key, public_id
-from service.workers.base import OverlayJob
+from service.workers.base import OverlayJob, Shown
 from service.workers.engine import Engine
 from service.workers.splitting import SplitJob
 
@@ -70,11 +71,12 @@ class Archive:
         _, stored = await self.database.read(frames.find, session_id, index=None, key=key)
         return None if stored is None else await self.estimate(session_id, stored.index)
 
-    async def picture(self, session_id: SessionKey, index: int, *, silhouette: bool) -> bytes:
-        """PNG of a frame, with its best silhouette or without. Raises ``GoneError`` where it is no longer kept."""
+    async def picture(self, session_id: SessionKey, index: int, show: Shown) -> bytes:
+        """PNG of a frame, or of what its best pose says of it. Raises ``GoneError`` where it is no longer kept."""
         body, media_type = await self.database.read(frames.body, session_id, index)
         estimate = orjson.loads(await self.estimate(session_id, index))
         best = estimate["best"]
+        record = await self.database.read(sessions.get, session_id)
         model, config = await self._setting(session_id, estimate)
         articulation = hold(articulation_of(model), config.joints.free, config.joints.fixed)
         job = OverlayJob(
@@ -87,8 +89,10 @@ class Archive:
             position=np.array([best["x_px"], best["y_px"]]),
             scale=best["scale_px"],
             joints=np.array([best["joints"][joint.name] for joint in articulation.joints], dtype=np.float64),
-            ser_byte_order=config.camera.ser_byte_order,
-            silhouette=silhouette,
+            config=config,
+            background=record.background_key,
+            sun=sun_in_image(estimate, config.camera),
+            show=show,
         )
         return await self._engine.overlay(job, self._blob)
 

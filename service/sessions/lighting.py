@@ -12,7 +12,7 @@ from service.attitude.shadow import earthshine, sunlit_share
 from service.attitude.sun import in_camera, phase_angle_deg, sun_from_earth
 from service.errors import InputError
 from service.inference.light import Light, Vector, unit
-from service.inference.params import SessionConfig
+from service.inference.params import CameraParams, SessionConfig
 from service.inference.state import Array
 from service.sessions.absolute import View
 from service.sessions.frame import FrameTime
@@ -84,6 +84,15 @@ def light_at(
     if sun_km is None or camera is None:
         return Lit(light)
     return Lit(replace(light, towards_sun=_vector(in_camera(sun_km, camera)), sigma_rad=sigma), "ephemeris")
+
+
+def sun_in_image(estimate: Mapping[str, Any], camera: CameraParams) -> Array | None:
+    """(3,) towards the Sun, out of an estimate, in the axes of its image: of a mirrored one z is turned round too."""
+    sun, view = (estimate.get("light") or {}).get("sun"), estimate.get("camera")
+    if sun is None:
+        return None
+    mirrored = camera.mirrored if view is None else view["mirrored"]
+    return np.array([sun["x"], sun["y"], -sun["z"] if mirrored else sun["z"]])
 
 
 def _told(session: str | Vector, query: Mapping[str, Any]) -> Vector | None:

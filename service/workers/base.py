@@ -147,9 +147,13 @@ class RestoreReport:
     status: str | None = None
 
 
+Shown = Literal["frame", "overlay", "model", "residual"]
+"""A frame alone; with its silhouette (the paper's Table 1); as the model lights it; what that leaves of it."""
+
+
 @dataclass(frozen=True)
 class OverlayJob:
-    """Draw the best silhouette of an estimate over its frame (the paper's Table 1), as PNG."""
+    """Draw a frame, or what an estimate says of it, as PNG: see ``Shown``."""
 
     model: str
     file_type: str
@@ -160,9 +164,11 @@ class OverlayJob:
     position: NDArray[np.float64]  # (2,)
     scale: float
     joints: NDArray[np.float64]  # (J,)
+    config: SessionConfig
+    background: str | None = None  # of ``model`` and ``residual``
+    sun: NDArray[np.float64] | None = None  # (3,) towards the Sun in the image's axes; None: not known
+    show: Shown = "overlay"
     blobs: Mapping[str, bytes] = field(default_factory=dict)
-    ser_byte_order: Literal["auto", "little", "big"] = "auto"
-    silhouette: bool = True  # False: the frame alone, as people can look at it
 
 
 @dataclass(frozen=True)
@@ -207,7 +213,7 @@ class Worker(Protocol):
         """Decode a frame, measure it, and run one step of the filter."""
 
     def overlay(self, job: OverlayJob) -> bytes:
-        """PNG of the frame with the silhouette in blue, or of the frame alone."""
+        """PNG of a frame as ``job.show`` asks."""
 
     def mesh(self, job: MeshJob) -> bytes:
         """GLB of a model's prepared mesh."""

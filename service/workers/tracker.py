@@ -12,12 +12,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpu.errors import DeviceError, DeviceLostError
 from gpu.kernel_cache import KernelCache
 from gpu.mesh import Mesh, MeshError, assemble
-from gpu.reference import silhouette_mask
 from service.errors import BackendMissingError, ConfigError, MeshFileError, MissingBlobError, ScorerFailedError
 from service.imaging.background import Background, Sky, derive, known_pixels, learn
 from service.imaging.decode import Frame as Image
@@ -27,11 +25,11 @@ from service.imaging.overlay import draw_overlay, encode_png, for_display
 from service.imaging.own_sky import own_sky
 from service.imaging.split import SplitFrame
 from service.imaging.transfer import linear
-from service.inference.articulation import Articulation, hold, part_transforms
+from service.inference.articulation import Articulation, hold
 from service.inference.belief import belief_of
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
-from service.inference.state import Frame, Measurement, PoseEstimate, Poses
+from service.inference.state import Frame, Measurement, PoseEstimate
 from service.inference.step import step
 from service.inference.symmetry import Symmetry
 from service.models.articulations import read_joints
@@ -58,6 +56,7 @@ from service.workers.following import Following
 from service.workers.full_frame import camera_window, in_full_frame, scale_in_window
 from service.workers.image_checks import require_same, require_size
 from service.workers.machine import describe_machine
+from service.workers.pictures import LitPictures, draw_silhouette
 from service.workers.resident import ResidentSteps
 from service.workers.restoring import check_restored
 from service.workers.scoring import Scorers, TimedScorer
@@ -85,6 +84,7 @@ class Tracker:
         self._scorers = Scorers(cached_models, opener=opener)
         self._steps = ResidentSteps(cached_models)
         self._following = Following(cached_models)
+        self._lit_pictures = LitPictures(cached_models)
         self._skies: Cache[Sky] = Cache(SKIES, weigh=sky_bytes, most_bytes=SKY_BYTES)
         self._twins: Cache[tuple[Symmetry, ...]] = Cache(cached_models)
 
@@ -136,9 +136,7 @@ class Tracker:
         whole = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
         camera = job.config.camera
         image = camera_window(camera, *require_size(whole, job.size)).cut(linear(whole, camera.transfer))
-        likelihood = job.config.likelihood
-        key = f"{job.background}:{likelihood.feature}:{likelihood.gradient_sigma_px}"
-        sky = self._skies.get(key, lambda: _sky(job.config, _blob(job.blobs, job.background)))
+        sky = self._sky(job.config, job.background, job.blobs)
         require_same(image, sky.mean.shape, sky.spec.bits)
         decoded = time.perf_counter()
         if job.config.filter.method == "bootstrap":
@@ -206,11 +204,15 @@ class Tracker:
         )
 
     def overlay(self, job: OverlayJob) -> bytes:
-        """PNG of the frame with the silhouette in blue, or of the frame alone."""
-        image = self._decoder.frame(job.body, job.media_type, job.ser_byte_order)
-        if not job.silhouette:
+        """PNG of a frame as ``job.show`` asks."""
+        image = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
+        if job.show == "frame":
             return encode_png(for_display(image.image))
         mesh = self._mesh(job.model, job.file_type, job.blobs)
+        if job.show != "overlay":
+            assert job.background is not None, "what is left over is left over of the light above a sky"
+            sky = self._sky(job.config, job.background, job.blobs)
+            return encode_png(self._lit_pictures.draw(job, image, sky, mesh))
         pose = PoseEstimate(job.quaternion, job.position, job.scale, job.joints)
         height, width = image.image.shape[:2]
         mask = draw_silhouette(mesh, job.articulation, pose, (height, width))
@@ -237,6 +239,7 @@ class Tracker:
         self._decoder.close()
         self._steps.close()
         self._following.close()
+        self._lit_pictures.close()
         self._scorers.close()
         self._meshes.clear()
         self._skies.clear()
@@ -248,21 +251,15 @@ class Tracker:
     def _mesh(self, key: str, file_type: str, blobs: Mapping[str, bytes]) -> Mesh:
         return self._meshes.get(key, lambda: self._load(_blob(blobs, key), file_type))
 
+    def _sky(self, config: SessionConfig, key: str, blobs: Mapping[str, bytes]) -> Sky:
+        chosen = config.likelihood.feature, config.likelihood.gradient_sigma_px
+        return self._skies.get(f"{key}:{chosen}", lambda: derive(Background.from_bytes(_blob(blobs, key)), *chosen))
+
     def _load(self, data: bytes, file_type: str) -> Mesh:
         try:
             return assemble(self._decoder.parts(data, file_type))
         except MeshError as error:
             raise MeshFileError(str(error), field="file") from error
-
-
-def draw_silhouette(
-    mesh: Mesh, articulation: Articulation, pose: PoseEstimate, shape: tuple[int, int]
-) -> NDArray[np.bool_]:
-    """(H, W) mask of a pose's silhouette."""
-    batch = Poses(
-        pose.quaternion[None], pose.position[None], np.array([np.log(pose.scale)]), np.asarray(pose.joints)[None]
-    )
-    return silhouette_mask(mesh, part_transforms(articulation, batch)[0], shape)
 
 
 def content_key(data: bytes) -> str:
@@ -274,10 +271,6 @@ def _blob(blobs: Mapping[str, bytes], key: str) -> bytes:
     if key not in blobs:
         raise MissingBlobError.of([key])
     return blobs[key]
-
-
-def _sky(config: SessionConfig, blob: bytes) -> Sky:
-    return derive(Background.from_bytes(blob), config.likelihood.feature, config.likelihood.gradient_sigma_px)
 
 
 def sky_bytes(sky: Sky) -> int:

@@ -26,6 +26,17 @@ async def test_frame_alone_has_no_blue(api):
     assert (await api.http.get(f"{here}/1/frame.png")).status_code == 404
 
 
+async def test_model_and_what_it_leaves_over_are_drawn(api):
+    session_id = await api.ready_session()
+    await api.post(session_id, 0)
+    here = f"/v1/sessions/{session_id}/estimates"
+    for name in ("model", "residual"):
+        answer = await api.http.get(f"{here}/0/{name}.png")
+        assert answer.headers["content-type"] == "image/png"
+        assert cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR).shape == (16, 16, 3)
+        assert (await api.http.get(f"{here}/1/{name}.png")).status_code == 404
+
+
 async def test_mesh_is_the_prepared_one(api):
     model_id = (await api.model(CUBE)).json()["model_id"]
     answer = await api.http.get(f"/v1/models/{model_id}/mesh.glb")

@@ -29,7 +29,8 @@ from service.inference.state import PoseEstimate
 from service.main import create_app
 from service.settings import Settings
 from service.workers.inline import InlineTransport
-from service.workers.tracker import Tracker, draw_silhouette
+from service.workers.pictures import draw_silhouette
+from service.workers.tracker import Tracker
 
 GOLDEN = Path(__file__).parent / "golden"
 ROOT = Path(__file__).resolve().parents[2]

@@ -46,7 +46,8 @@ def test_from_an_empty_service_to_a_track(tracker, folder, open_page):
     page = open_page(tracker.url)
     page.get_by_role("button", name="Choose a folder").click()
     page.set_input_files("input[name=folder]", folder)
-    expect(page.locator(".frame-facts")).to_have_text(re.compile(rf"^{FRAMES} files, .* 2 other files left out$"))
+    facts = re.compile(rf"^{FRAMES} files, .* with truth.csv · 1 other file left out$")
+    expect(page.locator(".frame-facts")).to_have_text(facts)
     expect(page.locator(".sky-facts")).to_have_text(re.compile("^10 files"))
     expect(page.get_by_role("checkbox", name=re.compile("^wing"))).to_be_checked()
     page.get_by_role("button", name=f"Track {FRAMES} frames").click()
@@ -58,8 +59,11 @@ def test_from_an_empty_service_to_a_track(tracker, folder, open_page):
     session = httpx.get(f"{tracker.url}/v1/sessions").json()["sessions"][0]
     assert (session["frames"], session["background_frames"], session["joints"]["free"]) == (FRAMES, 10, ["wing"])
     estimate = httpx.get(f"{tracker.url}/v1/sessions/{session['session_id']}/estimates/latest").json()
-    expect(page.locator("#readout dl")).to_contain_text(f"{estimate['best']['yaw_deg']:.2f} ±")
+    expect(page.locator("#readout dl").first).to_contain_text(f"{estimate['best']['yaw_deg']:.2f} ±")
 
+    expect(page.locator("#compare")).to_have_value("truth")  # it was in the folder
+    expect(page.locator("#plots figcaption").first).to_have_text(re.compile("^Angle to truth[0-9.]+ °$"))
+    page.locator("#compare").select_option("nothing")  # its outline too is on the screen
     picture_shows(page, FRAMES - 1)
     seen = silhouette_on_screen(page)
     here = f"{tracker.url}/v1/sessions/{session['session_id']}"
@@ -79,7 +83,7 @@ def scrub(page) -> None:
     shows(page, 3)
     page.keyboard.press("Home")
     shows(page, 0)
-    plot = page.locator(".strip canvas").first
+    plot = page.locator(".strip .u-over").first
     plot.click(position={"x": plot.bounding_box()["width"] - 6, "y": 40})
     shows(page, FRAMES - 1)
     page.keyboard.press("Home")

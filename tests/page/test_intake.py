@@ -2,6 +2,7 @@
 
 import pytest
 from playwright.sync_api import expect
+from watching import drop
 
 
 @pytest.fixture
@@ -15,8 +16,8 @@ def sort(server, open_page):
               const { sort } = await import("/static/js/intake.js");
               const files = paths.map((path) => Object.assign(new File(["x"], path.split("/").at(-1)), { path }));
               const found = sort(files), names = (list) => list.map((file) => file.path);
-              const { model, sky, frames, ignored } = found;
-              return { model: names(model), sky: names(sky), frames: names(frames), ignored };
+              const { model, sky, frames, truth, ignored } = found;
+              return { model: names(model), sky: names(sky), frames: names(frames), truth: truth?.path, ignored };
             }""",
             list(paths),
         )
@@ -30,7 +31,8 @@ def test_a_folder_of_the_simulator(sort):
         "model": ["p/demo.glb"],
         "sky": ["p/background/0.png"],
         "frames": ["p/frames/9.png", "p/frames/10.png"],  # by number, not by letter
-        "ignored": 2,
+        "truth": "p/truth.csv",
+        "ignored": 1,
     }
 
 
@@ -60,12 +62,7 @@ def test_a_folder_is_dropped_on_the_page(server, open_page, tmp_path):
             (tmp_path / "pass" / folder / f"{n}.png").write_bytes(b"x")
     page = open_page(server.url)
     expect(page.locator("#link .text")).not_to_have_text("connecting")
-    session = page.context.new_cdp_session(page)
-    data = {"items": [], "files": [str(tmp_path / "pass")], "dragOperationsMask": 1}
-    for kind in ("dragEnter", "dragOver", "dragOver", "drop"):
-        session.send("Input.dispatchDragEvent", {"type": kind, "x": 600, "y": 400, "data": data})
-        if kind == "dragOver":
-            expect(page.locator("body")).to_have_class("dropping")  # what is under the pointer takes files
+    drop(page, tmp_path / "pass")
     expect(page.get_by_role("dialog", name="New track")).to_be_visible()
     expect(page.locator(".frame-facts")).to_have_text("120 files, 0.png to 119.png")
     expect(page.locator(".sky-facts")).to_have_text("pass/sky/0.png")

@@ -4,15 +4,19 @@ import json
 import re
 from pathlib import Path
 
+import cv2
 import httpx
+import numpy as np
 import pytest
 from fake_worker import CUBE
 from passes import PNG, begin, fake_pass
 from playwright.sync_api import expect
-from watching import open_session, shows
+from watching import drop, open_session, shows, stage
 
 AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
 FRAMES = 3
+TLE = """1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9002
+2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10006"""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +37,13 @@ def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessi
     page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=844)
     shows(page, FRAMES - 1)
     assert overflow(page) == 0
+    page.keyboard.press("d")  # more of everything
+    assert overflow(page) == 0
     assert findings(page) == []
+    assert header_height(page, "live, looking at the past") == header_height(page, "live") < 64
+    for name in ("Keyboard shortcuts", "New track"):
+        expect(page.get_by_role("button", name=name)).to_be_visible()
+    expect(page.get_by_role("link", name="API")).to_be_visible()
     page.get_by_role("button", name="New track").click()
     page.locator("select[name=model]").select_option(index=1)
     for details in ("Not sure which spacecraft it is?", "Telescope, site and orbit", "More settings"):
@@ -49,6 +59,12 @@ def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessi
 def overflow(page) -> int:
     """Pixels that the page is wider than its screen."""
     return page.evaluate("() => document.documentElement.scrollWidth - document.documentElement.clientWidth")
+
+
+def header_height(page, says: str) -> float:
+    """Of the page's head while the lamp says this."""
+    page.evaluate("(says) => { document.querySelector('#link .text').textContent = says; }", says)
+    return page.locator("#top").bounding_box()["height"]
 
 
 def findings(page) -> list[str]:
@@ -78,6 +94,20 @@ def test_keyboard(server, sessions, open_page):
         expect(page.get_by_role("button", name=name)).to_have_attribute("aria-pressed", "false")
     page.keyboard.press("z")
     expect(page.get_by_role("button", name="Zoom")).to_have_attribute("aria-pressed", "true")
+    page.keyboard.press("d")
+    for name in ("What the frame should look like", "What the model’s image leaves over"):
+        expect(page.get_by_role("img", name=name)).to_be_visible()
+    before = page.locator("#frame .stage").first.screenshot()
+    page.keyboard.press("]")
+    page.keyboard.press("c")
+    expect(page.get_by_label("Contrast")).to_have_attribute("aria-valuetext", re.compile(r"^1\.41"))
+    expect(page.get_by_label("Colours")).to_have_value("inverted")
+    with page.expect_download() as download:
+        page.keyboard.press("s")
+    assert download.value.suggested_filename.endswith(f"-frame-{FRAMES - 1}.png")
+    saved = cv2.imread(download.value.path())
+    assert saved.shape[0] > 100 and np.median(saved) > 128  # as it is seen: a dark sky, inverted
+    assert page.locator("#frame .stage").first.screenshot() != before
     page.keyboard.press("r")
     expect(page.locator("#red")).to_be_visible()
     other = page.locator('#sessions [aria-current="true"]').get_attribute("data-session")
@@ -85,6 +115,90 @@ def test_keyboard(server, sessions, open_page):
     expect(page.locator(f'[data-session="{other}"]')).not_to_have_attribute("aria-current", "true")
     page.keyboard.press("n")
     expect(page.get_by_role("dialog", name="New track")).to_be_visible()
+
+
+def test_plots_tell_values_and_are_zoomed(server, sessions, open_page):
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    shows(page, FRAMES - 1)
+    plot, value = page.locator(".strip .u-over").first, page.locator(".strip output").first
+    whole = page.locator("#whole")
+    found = httpx.get(f"{server.url}/v1/sessions/{sessions[0]}/estimates").json()["estimates"]
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    page.mouse.move(box["x"] + 1, box["y"] + 20)
+    expect(page.locator("#pointed")).to_have_text(re.compile("^frame 0, 0.00 s"))
+    expect(value).to_have_text(f"{found[0]['best']['yaw_deg']:.2f} °")
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] / 4, box["y"] + 20, steps=3)
+    page.mouse.up()
+    expect(whole).to_be_visible()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] - 200)
+    expect(value).to_have_text(f"{found[-1]['best']['yaw_deg']:.2f} °")  # of the frame that is shown, again
+    plot.click(position={"x": box["width"] / 2, "y": 20})  # within the part: its nearest frame
+    shows(page, 0)
+    whole.click()
+    expect(whole).to_be_hidden()
+    page.keyboard.press("+")
+    expect(whole).to_be_visible()
+    page.keyboard.press("0")
+    expect(whole).to_be_hidden()
+
+
+def test_another_session_or_a_truth_is_compared(server, sessions, open_page, tmp_path):
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    shows(page, FRAMES - 1)
+    page.get_by_label("Compare with").select_option(sessions[1])
+    angle = page.locator("#plots figcaption").first
+    expect(angle).to_have_text(re.compile(r"^Angle to .*0\.00 °$"))  # the same frames, the same seed
+    assert page.url.endswith(f"#{sessions[0]}&with={sessions[1]}")
+    page.reload()
+    expect(angle).to_have_text(re.compile(r"^Angle to "))
+    page.get_by_label("Compare with").select_option("nothing")
+    expect(angle).to_have_text(re.compile("^Yaw"))
+    expect(page.locator("#sky")).to_be_hidden()  # no orbit is known
+    (tmp_path / "truth.csv").write_text("frame,qx,qy,qz,qw,x_px,y_px,scale_px\n" + f"{FRAMES - 1},1,0,0,0,5,5,1\n")
+    drop(page, tmp_path / "truth.csv")  # alone: it is of the session that is shown
+    expect(angle).to_have_text(re.compile(r"^Angle to truth1\d\d\.\d+ °$"))  # half a turn, but for some degrees
+    expect(page.get_by_role("dialog")).to_have_count(0)
+
+
+def test_sky_and_sun_are_shown_where_they_are_known(server, open_page):
+    given = fake_pass(2)
+    known = {
+        "prior": {"orbit": TLE},
+        "camera": {"site_latitude_deg": 48.23, "site_longitude_deg": 16.34},
+        "light": {"sun": [0.6, 0.0, -0.8]},
+    }
+    with httpx.Client(base_url=server.url, timeout=60) as http:
+        session_id = begin(http, given, name="body.glb", **known)
+        for n, image in enumerate(given.frames):
+            when = {"time": ("2026-11-21T17:30:40Z", "2026-11-21T17:31:00Z")[n]}  # the Earth's shadow lies between
+            http.put(
+                f"/v1/sessions/{session_id}/frames/{n}", content=image, headers=PNG, params=when
+            ).raise_for_status()
+    page = open_page(f"{server.url}/#{session_id}")
+    shows(page, 1)
+    expect(page.locator("#sky figcaption")).to_have_text(re.compile(r"elevation 26\.\d°, Sun -23\.\d°"))
+    expect(page.locator("#readout .sky")).to_contain_text("in the Earth’s shadow")
+    expect(page.locator("#model .light")).to_have_text("in the Earth’s shadow")
+    page.keyboard.press("Home")
+    expect(page.locator("#model .light")).to_have_text("lit by the Sun")
+    for figure in ("#sky", "#model"):
+        assert np.ptp(stage(page, figure)) > 100
+    assert overflow(page) == 0
+    assert findings(page) == []
+
+
+def test_a_link_to_a_session_that_is_not_there_opens_no_other(server, sessions, open_page):
+    page = open_page(f"{server.url}/#11111111-2222-4333-8444-555555555555", expect_failures=True)
+    missing = page.locator("#missing")
+    expect(missing).to_contain_text("11111111-2222-4333-8444-555555555555")
+    expect(page.locator("#session")).to_be_hidden()
+    expect(page.locator('#sessions [aria-current="true"]')).to_have_count(0)
+    page.evaluate("(id) => { location.hash = id; }", sessions[0])  # as another link on the same page
+    shows(page, FRAMES - 1)
+    expect(missing).to_be_hidden()
+    expect(page.locator(f'[data-session="{sessions[0]}"]')).to_have_attribute("aria-current", "true")
 
 
 def test_every_control_is_reached_by_tab(server, sessions, open_page):

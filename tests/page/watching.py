@@ -1,6 +1,7 @@
 """What a user sees on the page, as words of the tests."""
 
 import re
+from pathlib import Path
 
 import cv2
 import httpx
@@ -29,6 +30,16 @@ def open_session(page: Page, session_id: str) -> None:
     expect(page.locator(f'[data-session="{session_id}"]')).to_have_attribute("aria-current", "true")
 
 
+def drop(page: Page, path: Path) -> None:
+    """A real drop of a file or folder on the page."""
+    session = page.context.new_cdp_session(page)
+    data = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, "x": 600, "y": 400, "data": data})
+        if kind == "dragOver":
+            expect(page.locator("body")).to_have_class("dropping")  # what is under the pointer takes files
+
+
 def is_stale(page: Page) -> None:
     """Wait for the mark over everything."""
     expect(page.locator("#stale")).to_have_text(re.compile("^Stale: .* Nothing heard"))
@@ -44,7 +55,7 @@ def is_live(page: Page) -> None:
 def stage(page: Page, figure: str = "#frame") -> np.ndarray:
     """(H, W, 3) what a view shows on the screen, BGR."""
     page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    data = page.locator(f"{figure} .stage").screenshot()
+    data = page.locator(f"{figure} .stage").first.screenshot()
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).astype(np.int16)
 
 

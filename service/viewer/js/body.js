@@ -1,6 +1,6 @@
 // A model as the tracker prepared it: its parts from mesh.glb, its joints from the model's document.
-import { BufferAttribute, BufferGeometry, Group, Mesh } from "../vendor/three/three.module.min.js";
-import { partMotions } from "./rotation.js";
+import { Box2, BufferAttribute, BufferGeometry, Group, Mesh, Vector2, Vector3 } from "../vendor/three/three.module.min.js";
+import { partMotions, quaternionOf } from "./rotation.js";
 
 const bodies = new Map();
 
@@ -55,6 +55,23 @@ export class Body {
       const motion = motions.get(mesh.name);
       if (motion) mesh.matrix.copy(motion);
     }
+  }
+
+  // The rectangle of the image that a pose fills, px: that of its parts' bounding boxes, so a little too large.
+  box(pose) {
+    const motions = partMotions(this.stages, pose.joints), turn = quaternionOf(pose.orientation), box = new Box2();
+    const corner = new Vector3(), at = new Vector2();
+    for (const { name, geometry } of this.parts) {
+      if (!geometry.boundingBox) geometry.computeBoundingBox();
+      const { min, max } = geometry.boundingBox, motion = motions.get(name);
+      for (let k = 0; k < 8; k++) {
+        corner.set(k & 1 ? min.x : max.x, k & 2 ? min.y : max.y, k & 4 ? min.z : max.z);
+        if (motion) corner.applyMatrix4(motion);
+        corner.applyQuaternion(turn).multiplyScalar(pose.scale_px);
+        box.expandByPoint(at.set(corner.x + pose.x_px, corner.y + pose.y_px));
+      }
+    }
+    return box;
   }
 }
 

@@ -9,9 +9,9 @@ import { telescope } from "./telescope.js";
 const DEFAULT_FIRST = 5, MANY_JOINTS = 6;
 
 export class CreateDialog {
-  // `start(plan)` sends it
-  constructor(dialog, api, start) {
-    Object.assign(this, { dialog, api, start });
+  // `start(plan)` sends it; `truth(file)` takes a truth that came without a pass, and says whether it could
+  constructor(dialog, api, start, truth) {
+    Object.assign(this, { dialog, api, start, truth });
     this.form = dialog.querySelector("form");
     this.fields = this.form.elements;
     this.problem = dialog.querySelector(".problem");
@@ -66,9 +66,11 @@ export class CreateDialog {
     addEventListener("drop", async (event) => {
       event.preventDefault();
       document.body.classList.remove("dropping");
-      const files = dropped(event.dataTransfer); // before the first await: the drop's items are gone after it
+      const files = await dropped(event.dataTransfer);
+      const { model, sky, frames, truth } = sort(files);
+      if (truth && ![model, sky, frames].flat().length && !this.dialog.open && this.truth(truth)) return;
       if (!this.dialog.open) await this.open();
-      this.take(await files);
+      this.take(files);
     });
   }
 
@@ -153,13 +155,13 @@ export class CreateDialog {
   }
 
   refresh() {
-    const { sky, frames, ignored } = this.found, { fields } = this;
+    const { sky, frames, truth, ignored } = this.found, { fields } = this;
     const tracked = this.tracked();
     const known = this.dialog.querySelector(".known");
     known.hidden = !this.session?.frames || frames.length <= this.session.frames;
     known.querySelector("span").textContent = `The first ${this.session?.frames} are tracked already: leave them out`;
     this.dialog.querySelector(".frame-facts").textContent =
-      frames.length ? describe(frames) + (ignored ? ` · ${ignored} other files left out` : "") : "";
+      frames.length ? describe(frames) + (truth ? ` · with ${truth.name}` : "") + (ignored ? ` · ${ignored} other ${ignored === 1 ? "file" : "files"} left out` : "") : "";
     this.dialog.querySelector(".sky-facts").textContent = sky.length ? describe(sky) : "no folder called background or sky";
     fields.sky[0].disabled = !sky.length;
     fields.sky[1].disabled = frames.length < 2 || frames.some(isVideo);
@@ -197,9 +199,10 @@ export class CreateDialog {
     const first = fields.sky.value === "first" ? found.frames.slice(0, Number(fields.first.value)) : [];
     const sky = fields.sky.value === "files" ? found.sky : first;
     const border = fields.sky.value === "border" ? fields.border.valueAsNumber : null;
-    if (session?.state === "ready") return { session, sky: [], border: null, frames: this.tracked() };
-    if (session) return { session, sky, border, frames: this.tracked() };
-    return { request: this.request(), sky, border, frames: this.tracked() };
+    const truth = found.truth && { file: found.truth, first: first.length };
+    if (session?.state === "ready") return { session, sky: [], border: null, frames: this.tracked(), truth };
+    if (session) return { session, sky, border, frames: this.tracked(), truth };
+    return { request: this.request(), sky, border, frames: this.tracked(), truth };
   }
 
   request() {

@@ -1,42 +1,80 @@
-// The frame with the best silhouette in blue and the other modes thinner. Image and outlines are of one frame.
+// The frame with the best silhouette in blue and the other modes thinner; beside it, if wanted, the model's image of it
+// and what that leaves over. Image and outlines are of one frame.
 import { modeColour } from "./colours.js";
-import { Painter, pixelRatio } from "./gl.js";
+import { Painter } from "./gl.js";
 import { Outlines } from "./outline.js";
+import { Picture } from "./picture.js";
+import { COLOURS } from "./tone.js";
 
-const ZOOM_RADII = 1.5; // half the width of the zoomed view, in radii of the body
+const ZOOM_MARGIN = 1.25; // width of the zoomed view, in widths of the body
+const BESIDE = ["model", "residual"], BESIDE_REST_MS = 300; // they cost the service more than the frame does
 
 export class FrameView {
-  constructor(figure, api) {
-    this.api = api;
-    this.picture = figure.querySelector("canvas.picture");
+  // `wide(whether)`: room is wanted for the pictures beside the frame
+  constructor(figure, api, wide) {
+    this.wide = wide;
     this.note = figure.querySelector(".note");
     this.caption = figure.querySelector(".frame-number");
     this.outlines = new Outlines(figure.querySelector("canvas.outlines"));
-    this.painter = new Painter(figure.querySelector(".stage"), (width, height) => this.draw(width, height));
-    this.options = { outlines: true, modes: true, zoom: false };
+    const [stage, ...beside] = figure.querySelectorAll(".stage");
+    const drawn = this.outlines.renderer ? "frame.png" : "overlay.png";
+    this.picture = new Picture(figure.querySelector("canvas.picture"), api, () => drawn,
+      (estimate, note) => this.take(estimate, note));
+    this.beside = BESIDE.map((name, k) => new Picture(beside[k].querySelector("canvas"), api,
+      () => (this.options.model ? `${name}.png` : null), (estimate, note) => this.drawBeside(k, note), BESIDE_REST_MS));
+    this.notes = beside.map((one) => one.querySelector(".note"));
+    this.options = { outlines: true, modes: true, zoom: false, model: false };
+    this.tone = { gain: 1, colours: COLOURS[0] };
+    this.painter = new Painter(stage, (width, height) => this.draw(width, height));
+    this.painters = beside.map((one, k) => new Painter(one, (width, height) => this.paintBeside(k, width, height)));
     this.reset(null);
   }
+
+  get pictures() { return [this.picture, ...this.beside]; }
 
   reset(session) {
     this.session = session;
     this.size = session?.background ?? null;
-    this.wanted = this.shown = this.bitmap = this.body = null;
+    this.wanted = this.shown = this.body = null;
     this.chosen = -1;
+    this.reference = null;
+    for (const picture of this.pictures) picture.reset(session);
     this.outlines.setBody(null);
     this.caption.textContent = "";
-    this.say("");
-    this.painter.request();
+    this.say(this.note, "");
+    this.request();
+  }
+
+  request() {
+    for (const painter of [this.painter, ...this.painters]) painter.request();
   }
 
   toggle(name) {
     this.options[name] = !this.options[name];
-    this.painter.request();
+    if (name === "model") {
+      this.wide(this.options.model);
+      if (this.shown) this.showBeside(this.shown);
+    }
+    this.request();
     return this.options[name];
+  }
+
+  // tone: {gain, colours}: see tone.js. What is left over has colours of its own.
+  setTone(tone) {
+    Object.assign(this.tone, tone);
+    for (const picture of [this.picture, this.beside[0]]) picture.setTone(this.tone);
+    this.request();
   }
 
   setBody(body) {
     this.body = body;
     this.outlines.setBody(body);
+    this.request();
+  }
+
+  // Another pose of each frame to draw, in white: comparison.js.
+  compare(reference) {
+    this.reference = reference;
     this.painter.request();
   }
 
@@ -45,71 +83,61 @@ export class FrameView {
     this.painter.request();
   }
 
-  // Newest wins: one picture is fetched at a time, what comes meanwhile replaces what waits.
-  async show(estimate) {
-    this.wanted = estimate;
-    if (this.fetching) return;
-    this.fetching = true;
-    while (this.wanted) {
-      const next = this.wanted;
-      this.wanted = null;
-      await this.fetch(next);
-    }
-    this.fetching = false;
+  show(estimate) {
+    this.picture.show(estimate);
+    this.showBeside(estimate);
   }
 
-  async fetch(estimate) {
-    const here = `/v1/sessions/${estimate.session_id}/estimates/${estimate.index}`;
-    const drawn = this.outlines.renderer ? "frame.png" : "overlay.png";
-    let bitmap = null, note = "";
-    try {
-      bitmap = await createImageBitmap(await this.api.blob(`${here}/${drawn}`));
-    } catch (error) {
-      note = error.status === 410 ? "The image of this frame is no longer kept." : error.message;
-    }
-    if (estimate.session_id !== this.session?.session_id) return; // another session was chosen meanwhile
-    this.bitmap?.close();
-    Object.assign(this, { bitmap, shown: estimate });
+  showBeside(estimate) {
+    if (this.options.model) for (const picture of this.beside) picture.show(estimate);
+  }
+
+  take(estimate, note) {
+    this.shown = estimate;
+    const { bitmap } = this.picture;
     if (bitmap) this.size = { width: bitmap.width, height: bitmap.height };
-    this.say(note);
+    this.say(this.note, note);
     this.caption.textContent = estimate.index;
-    this.painter.request();
+    this.request();
   }
 
-  say(text) {
-    this.note.textContent = text;
-    this.note.hidden = !text;
+  say(note, text) {
+    note.textContent = text;
+    note.hidden = !text;
   }
 
   // The part of the image in view, px, with the shape of the element.
   window(width, height) {
-    const { width: w, height: h } = this.size;
-    let [x, y, reach] = [w / 2, h / 2, Math.max(w / width, h / height) / 2];
-    if (this.options.zoom && this.shown && this.body) {
-      const { best } = this.shown;
-      [x, y] = [best.x_px, best.y_px];
-      reach = (ZOOM_RADII * best.scale_px * this.body.radius) / Math.min(width, height);
-    }
-    return { left: x - reach * width, right: x + reach * width, top: y - reach * height, bottom: y + reach * height };
+    const zooms = this.options.zoom && this.shown && this.body;
+    return windowOn(this.size, width, height, zooms ? this.body.box(this.shown.best) : null);
   }
 
   draw(width, height) {
-    const ratio = pixelRatio();
-    this.picture.width = Math.round(width * ratio);
-    this.picture.height = Math.round(height * ratio);
-    if (!this.size) {
-      this.outlines.draw(width, height, { left: 0, right: 1, top: 0, bottom: 1 }, []);
-      return;
-    }
-    const view = this.window(width, height);
-    const scale = this.picture.width / (view.right - view.left);
-    if (this.bitmap) {
-      const context = this.picture.getContext("2d");
-      context.imageSmoothingEnabled = false;
-      context.drawImage(this.bitmap, -view.left * scale, -view.top * scale,
-        this.bitmap.width * scale, this.bitmap.height * scale);
-    }
-    this.outlines.draw(width, height, view, this.lines());
+    const view = this.size && this.window(width, height);
+    this.picture.draw(width, height, view);
+    if (view) this.outlines.draw(width, height, view, this.lines());
+    else this.outlines.draw(width, height, { left: 0, right: 1, top: 0, bottom: 1 }, []);
+  }
+
+  drawBeside(k, note) {
+    this.say(this.notes[k], note);
+    this.painters[k].request();
+  }
+
+  paintBeside(k, width, height) {
+    this.beside[k].draw(width, height, this.size && this.window(width, height));
+  }
+
+  // What is seen of the frame, outlines included, as a PNG.
+  async png() {
+    const { clientWidth: width, clientHeight: height } = this.picture.canvas;
+    this.draw(width, height); // now: what WebGL has drawn is gone after this turn
+    const canvas = new OffscreenCanvas(this.picture.canvas.width, this.picture.canvas.height);
+    const context = canvas.getContext("2d");
+    context.fillRect(0, 0, canvas.width, canvas.height);
+    context.drawImage(this.picture.canvas, 0, 0);
+    if (this.outlines.renderer) context.drawImage(this.outlines.renderer.domElement, 0, 0, canvas.width, canvas.height);
+    return canvas.convertToBlob({ type: "image/png" });
   }
 
   lines() {
@@ -123,6 +151,19 @@ export class FrameView {
       tint: 0,
     })).slice(1, 8).reverse();
     const best = { pose: shown.best, colour: modeColour(0), width: 1.4, strength: 1, tint: 0.13 };
-    return [...lines, best];
+    const other = this.reference?.poseOf(shown.index);
+    return [...lines, ...(other ? [{ pose: other, colour: "#ffffff", width: 0.8, strength: 0.9, tint: 0 }] : []), best];
   }
+}
+
+// The part of an image that a view shows, px: all of it, or `box`, where that is less.
+export function windowOn(image, width, height, box) {
+  const reach = (w, h) => Math.max(w / width, h / height) / 2;
+  const [w, h] = box ? [box.max.x - box.min.x, box.max.y - box.min.y].map((side) => ZOOM_MARGIN * Math.max(side, 1))
+    : [Infinity, Infinity];
+  const half = Math.min(reach(w, h), reach(image.width, image.height));
+  const along = (middle, size, room) => (2 * room >= size ? size / 2 : Math.min(Math.max(middle, room), size - room));
+  const x = along(box ? (box.min.x + box.max.x) / 2 : 0, image.width, half * width);
+  const y = along(box ? (box.min.y + box.max.y) / 2 : 0, image.height, half * height);
+  return { left: x - half * width, right: x + half * width, top: y - half * height, bottom: y + half * height };
 }

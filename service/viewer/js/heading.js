@@ -1,4 +1,5 @@
 // Title, status and connection of the watched session; save and delete.
+import { download } from "./download.js";
 import { ask, tellProblem } from "./notices.js";
 import { badge, element } from "./readout.js";
 import { titleOf } from "./sessions.js";
@@ -93,9 +94,5 @@ function when(time) {
 async function save(api, id, format) {
   const answer = await api.call(`/v1/sessions/${id}/export?format=${format}`);
   const named = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "");
-  const link = element("a");
-  link.href = URL.createObjectURL(await answer.blob());
-  link.download = named?.[1] ?? `${id}.${format}`;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+  download(await answer.blob(), named?.[1] ?? `${id}.${format}`);
 }

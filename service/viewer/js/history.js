@@ -69,7 +69,7 @@ export class History {
 }
 
 // Values of a pose in one flat object, by the names of the plots.
-function values(pose) {
+export function values(pose) {
   const flat = { yaw: pose.yaw_deg, pitch: pose.pitch_deg, roll: pose.roll_deg, x: pose.x_px, y: pose.y_px,
     scale: pose.scale_px };
   for (const [name, value] of Object.entries(pose.joints)) flat[`joint:${name}`] = value;
@@ -81,6 +81,11 @@ function deviations(spread) {
     scale: spread.scale_px };
   for (const [name, value] of Object.entries(spread.joints)) flat[`joint:${name}`] = value;
   return flat;
+}
+
+// Where it stands in the sky, and whether the Sun reaches it there.
+function placeOf({ orbit, light }) {
+  return { azimuth: orbit.azimuth_deg, elevation: orbit.elevation_deg, range: orbit.range_km, lit: light?.sunlit ?? null };
 }
 
 export function rowOf(estimate) {
@@ -95,6 +100,9 @@ export function rowOf(estimate) {
     accuracy: estimate.modes[0]?.spread.orientation_deg ?? estimate.spread.orientation_deg,
     ess: estimate.ess,
     particles: estimate.particles,
+    probabilities: estimate.probabilities ?? undefined,
+    fit: estimate.fit ?? undefined,
+    place: estimate.orbit ? placeOf(estimate) : undefined,
     latency: estimate.timing_ms.total ?? 0,
   };
 }

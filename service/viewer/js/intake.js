@@ -8,6 +8,7 @@ const VIDEOS = {
   ser: "video/x-ser", avi: "video/x-msvideo", mp4: "video/mp4", mkv: "video/x-matroska", mov: "video/quicktime",
 };
 const SKY_FOLDER = /^(backgrounds?|bg|sky|darks?|empty)[ _.-]*\d*$/i, SKY_FILE = /^(background|bg|sky|dark|empty)[ _.-]*\d/i;
+const TRUTH_FILE = /^truth.*\.csv$/i;
 const order = new Intl.Collator("en", { numeric: true }).compare;
 
 export const ACCEPT_MESH = [...PIECES, ...ROBOTS].map((name) => `.${name}`).join(",");
@@ -36,15 +37,16 @@ export function modelFiles(files) {
   return robot ? [robot, ...ofKind(PIECES)] : ofKind(MESHES).slice(0, 1);
 }
 
-// {model: [], sky: [], frames: [], ignored}: frames and sky in the order of their numbers.
+// {model: [], sky: [], frames: [], truth, ignored}: frames and sky in the order of their numbers; truth: a file, or none.
 export function sort(files) {
   const sorted = [...files].filter((file) => !file.name.startsWith(".")).sort((a, b) => order(pathOf(a), pathOf(b)));
   const model = modelFiles(sorted);
   const images = sorted.filter((file) => mediaType(file));
   const sky = images.filter(isSky);
   const frames = largestFolder(images.filter((file) => !sky.includes(file)));
-  const ignored = sorted.length - model.length - sky.length - frames.length;
-  return { model, sky, frames, ignored };
+  const truth = sorted.find((file) => TRUTH_FILE.test(file.name));
+  const ignored = sorted.length - model.length - sky.length - frames.length - (truth ? 1 : 0);
+  return { model, sky, frames, truth, ignored };
 }
 
 // A pass is one folder: pictures elsewhere (masks, previews) are not its frames.

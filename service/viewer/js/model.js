@@ -60,11 +60,33 @@ export function lights() {
   return [sun, lamp, new HemisphereLight(0xbfd4ff, 0x3a4558, 1.1)];
 }
 
+// The Sun: its light, and an arrow towards it that stays outside of the body.
+class Sun {
+  constructor() {
+    this.light = new DirectionalLight(0xfff4e0, 3.2);
+    this.night = new HemisphereLight(0x8fb0e0, 0x2a3648, 0.7); // as by the Earth: no side is lost altogether
+    this.arrow = new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 0.32, 0xffd479, 0.1, 0.06);
+    this.label = new Sprite(new SpriteMaterial({ map: letter("☉", 0xffd479), depthTest: false }));
+    this.label.scale.setScalar(0.2);
+    this.group = new Group().add(this.light, this.night, this.arrow, this.label);
+  }
+
+  point(towards) {
+    this.light.position.copy(towards);
+    this.arrow.position.copy(towards).multiplyScalar(0.72);
+    this.arrow.setDirection(towards);
+    this.label.position.copy(towards).multiplyScalar(1.12);
+  }
+}
+
 export class ModelView {
   constructor(figure) {
     const canvas = figure.querySelector("canvas");
     this.renderer = openRenderer(canvas);
-    this.scene = new Scene().add(...lights());
+    this.lamps = new Group().add(...lights());
+    this.sun = new Sun();
+    this.scene = new Scene().add(this.lamps, this.sun.group);
+    this.light = figure.querySelector(".light");
     this.holder = new Group();
     this.scene.add(this.holder);
     this.camera = new OrthographicCamera();
@@ -92,11 +114,15 @@ export class ModelView {
     this.group = drawn(body);
     this.holder.add(this.group, axes(body.radius * 0.9));
     this.holder.scale.setScalar(1 / body.radius);
-    if (this.pose) this.show(this.pose);
+    if (this.pose) this.body.setJoints(this.group, this.pose.joints);
+    this.painter.request();
   }
 
-  show(pose) {
-    this.pose = pose;
+  // `sun`: towards the Sun on the screen, or null; `sunlit`: false in the Earth's shadow, null where it is not known
+  show(pose, { sun, sunlit } = { sun: null, sunlit: null }) {
+    Object.assign(this, { pose, towardsSun: sun });
+    this.light.textContent = sunlit === false ? "in the Earth’s shadow" : sun ? "lit by the Sun" : "";
+    this.sun.light.visible = sunlit !== false;
     if (this.body) this.body.setJoints(this.group, pose.joints);
     this.painter.request();
   }
@@ -110,6 +136,9 @@ export class ModelView {
     this.camera.updateProjectionMatrix();
     this.holder.visible = Boolean(this.pose);
     if (this.pose) this.holder.quaternion.copy(this.turnable.turn).multiply(onScreen(this.pose.orientation));
+    this.sun.group.visible = Boolean(this.pose && this.towardsSun);
+    this.lamps.visible = !this.sun.group.visible;
+    if (this.towardsSun) this.sun.point(this.towardsSun.clone().applyQuaternion(this.turnable.turn));
     this.renderer.render(this.scene, this.camera);
   }
 }

@@ -1,11 +1,15 @@
 // Numbers of the estimate that is shown, and its modes as a list to choose from.
 import { modeColour, STATUS } from "./colours.js";
 
+import { angleBetween } from "./rotation.js";
+import { skyRows } from "./sky_readout.js";
+
 const degrees = (value, spread) => `${value.toFixed(2)} ± ${spread.toFixed(2)}°`;
 
 export class Readout {
   constructor(element, choose) {
     this.numbers = element.querySelector("dl");
+    this.sky = element.querySelector(".sky dl");
     this.modes = element.querySelector(".modes");
     this.models = element.querySelector(".models");
     this.choose = choose;
@@ -14,7 +18,9 @@ export class Readout {
 
   reset() {
     this.chosen = -1;
+    this.reference = null;
     this.numbers.replaceChildren();
+    this.sky.replaceChildren();
     this.modes.replaceChildren();
     this.models.replaceChildren();
   }
@@ -22,12 +28,11 @@ export class Readout {
   // `kinds`: joint name -> kind; `nameOf`: model id -> name
   show(estimate, kinds, nameOf) {
     const spread = estimate.modes[0]?.spread ?? estimate.spread;
-    fill(this.numbers, rows(estimate, spread, kinds).map(([name, value]) => {
-      const pair = element("div");
-      pair.append(element("dt", name), element("dd", value));
-      pair.title = value;
-      return pair;
-    }));
+    this.kinds = kinds;
+    fill(this.numbers, [...rows(estimate, spread, kinds), ...this.compared(estimate)].map(pair));
+    const sky = skyRows(estimate);
+    fill(this.sky, sky.map(pair));
+    this.sky.parentElement.hidden = !sky.length;
     this.showModes(estimate.modes);
     fill(this.models, (estimate.models ?? []).map((model) => {
       const item = element("li", `${nameOf(model.model_id)} `);
@@ -37,18 +42,23 @@ export class Readout {
     this.models.parentElement.hidden = !estimate.models;
   }
 
+  // How far it is from what it is compared with.
+  compared({ index, best }) {
+    const other = this.reference?.rowOf(index);
+    return other ? [[`Angle to ${this.reference.name}`, `${angleBetween(best.orientation, other.orientation).toFixed(2)}°`]] : [];
+  }
+
   // Items are kept from frame to frame, so that a click between two of them is not lost.
   showModes(modes) {
     while (this.modes.children.length > modes.length) this.modes.lastChild.remove();
     while (this.modes.children.length < modes.length) this.modes.append(this.modeItem(this.modes.children.length));
+    const texts = modeTexts(modes, this.kinds);
     modes.forEach((mode, rank) => {
       const button = this.modes.children[rank].firstChild;
-      const { yaw_deg: yaw, pitch_deg: pitch, roll_deg: roll } = mode.pose;
       button.setAttribute("aria-pressed", String(rank === this.chosen));
       button.querySelector("progress").value = mode.weight;
       button.querySelector(".share").textContent = percent(mode.weight);
-      button.querySelector("small").textContent =
-        `${yaw.toFixed(1)}°, ${pitch.toFixed(1)}°, ${roll.toFixed(1)}°  ± ${mode.spread.orientation_deg.toFixed(1)}°`;
+      button.querySelector("small").textContent = texts[rank];
     });
   }
 
@@ -64,9 +74,30 @@ export class Readout {
   }
 }
 
+function pair([name, value]) {
+  const item = element("div");
+  item.append(element("dt", name), element("dd", value));
+  item.title = value;
+  return item;
+}
+
+const unitOf = (kinds, name) => (kinds[name] === "prismatic" ? "" : "°");
+
+// One line per mode: its angles, and the joints in which the modes differ.
+export function modeTexts(modes, kinds) {
+  const jointOf = (mode, name) => `${name} ${mode.pose.joints[name].toFixed(1)}${unitOf(kinds, name)}`;
+  const differ = Object.keys(modes[0]?.pose.joints ?? {}).filter(
+    (name) => new Set(modes.map((mode) => jointOf(mode, name))).size > 1);
+  return modes.map((mode) => {
+    const angles = [mode.pose.yaw_deg, mode.pose.pitch_deg, mode.pose.roll_deg].map((angle) => `${angle.toFixed(1)}°`);
+    const told = `${angles.join(", ")} ± ${mode.spread.orientation_deg.toFixed(1)}°`;
+    return [told, ...differ.map((name) => jointOf(mode, name))].join(" · ");
+  });
+}
+
 function rows(estimate, spread, kinds) {
   const { best } = estimate;
-  const unit = (name) => (kinds[name] === "prismatic" ? "" : "°");
+  const unit = (name) => unitOf(kinds, name);
   return [
     ["Yaw", degrees(best.yaw_deg, spread.yaw_deg)],
     ["Pitch", degrees(best.pitch_deg, spread.pitch_deg)],

@@ -23,6 +23,24 @@ export function lineOfSight(orientation) {
   };
 }
 
+// Where the Sun is on the screen (three.js' axes), or null: a mirrored image has it in front instead of behind.
+export function sunOnScreen({ light, camera }, session) {
+  if (!light?.sun) return null;
+  const mirrored = camera?.mirrored ?? session.camera.mirrored;
+  return new Vector3(light.sun.x, -light.sun.y, mirrored ? light.sun.z : -light.sun.z);
+}
+
+// Intrinsic Z-Y'-X'' angles, degrees, as the service tells them (service/inference/pose.py). For people only.
+export function yawPitchRoll({ w, x, y, z }) {
+  const degrees = (angle) => (angle * 180) / Math.PI;
+  const [m00, m10, m20] = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)];
+  const [m21, m22] = [2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], cosine = Math.hypot(m00, m10);
+  const locked = cosine < 1e-9; // straight up or down: all of it is yaw
+  const yaw = locked ? Math.atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)) : Math.atan2(m10, m00);
+  return { yaw_deg: degrees(yaw), pitch_deg: degrees(Math.atan2(-m20, cosine)),
+    roll_deg: locked ? 0 : degrees(Math.atan2(m21, m22)) };
+}
+
 // Geodesic angle between two orientations, degrees.
 export function angleBetween(a, b) {
   const dot = Math.abs(a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z);

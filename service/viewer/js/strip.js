@@ -1,192 +1,199 @@
-// One time plot on a canvas: the best pose as a line, a band of the heaviest mode's spread, dots for the other modes.
-import { modeColour, STATUS } from "./colours.js";
+// One time plot: the best pose as a line, a band of the heaviest mode's spread, dots for the other modes; or shares
+// that are stacked. uPlot draws axes and lines, and tells where the pointer is.
+import uPlot from "../vendor/uplot/uPlot.esm.js";
+import { modeColour } from "./colours.js";
+import { thinned } from "./ribbon.js";
 
-const PAD = { left: 46, right: 10, top: 8, bottom: 18 };
-const INK = { grid: "#1d2733", text: "#93a2b4", cursor: "#e8eef6", band: "rgba(77, 163, 255, 0.22)" };
+const HEIGHT = 124, LEAST_DRAG_PX = 5, LEAST_WEIGHT = 0.02;
+const INK = { grid: "#1d2733", text: "#93a2b4", cursor: "#e8eef6", band: "rgba(77, 163, 255, 0.22)", other: "#ffffff" };
 const FONT = "11px system-ui, sans-serif";
+const GONE = ["lost", "no_fit", "no_target"];
 
-export function drawStrip(canvas, spec, scene) {
-  const { clientWidth: width, clientHeight: height } = canvas;
-  const ratio = Math.min(devicePixelRatio, 2);
-  canvas.width = Math.round(width * ratio);
-  canvas.height = Math.round(height * ratio);
-  const context = canvas.getContext("2d");
-  context.scale(ratio, ratio);
-  context.font = FONT;
-  const rows = thinned(scene.rows, width);
-  const box = { x0: PAD.left, x1: width - PAD.right, y0: PAD.top, y1: height - PAD.bottom };
-  const range = spec.range ?? rangeOf(rows, spec);
-  const frame = {
-    context, box, rows,
-    x: (time) => box.x0 + ((time - scene.from) / (scene.to - scene.from || 1)) * (box.x1 - box.x0),
-    y: (value) => box.y1 - ((value - range[0]) / (range[1] - range[0] || 1)) * (box.y1 - box.y0),
-  };
-  drawGrid(frame, range, scene);
-  context.save();
-  context.beginPath();
-  context.rect(box.x0, 0, box.x1 - box.x0, height);
-  context.clip();
-  if (spec.stack) drawStack(frame);
-  else drawSeries(frame, spec);
-  drawCursor(frame, scene);
-  context.restore();
+// spec: {name, unit, value(row), key, colour, angle, range, fromZero, least, pose, shares(row)}; `other(row)`: the same
+// quantity of what is compared. handlers: goTo(time), zoom(from, to), whole(), hover(time or null, px)
+export class Strip {
+  constructor(spec, handlers) {
+    Object.assign(this, { spec, handlers, scene: { rows: [], from: 0, to: 1, origin: 0, cursor: null } });
+    this.figure = document.createElement("figure");
+    this.figure.className = "strip";
+    const caption = document.createElement("figcaption"), holder = document.createElement("div");
+    this.value = document.createElement("output");
+    caption.append(spec.name, this.value);
+    holder.setAttribute("role", "img");
+    holder.setAttribute("aria-label", `${spec.name} over time`);
+    this.figure.append(caption, holder);
+    this.plot = new uPlot(this.options(), [[], [], [], [], []], holder);
+    this.listen(this.plot.over);
+  }
+
+  options() {
+    const { spec } = this;
+    const line = { points: { show: () => this.scene.rows.length === 1, size: 4 }, ...(spec.angle ? { gaps: turnGaps } : {}) };
+    const edge = { ...line, stroke: "transparent", points: { show: false } };
+    const axis = { stroke: INK.text, font: FONT, ticks: { show: false }, grid: { stroke: INK.grid, width: 1 } };
+    return {
+      width: 300, height: HEIGHT, padding: [8, 10, 0, 0], legend: { show: false },
+      scales: { x: { time: false, auto: false }, y: { range: () => spec.range ?? rangeOf(this.scene.rows, spec) } },
+      axes: [
+        { ...axis, size: 22, gap: 2, space: 70, values: (plot, at) => at.map((time) => `${label(time)} s`) },
+        { ...axis, size: 46, gap: 4, space: 28, values: (plot, at) => at.map(label) },
+      ],
+      series: [{}, { ...line, stroke: spec.shares ? "transparent" : spec.colour ?? modeColour(0), width: 1.5 }, edge, edge,
+        { ...line, stroke: INK.other, width: 1, dash: [4, 3] }],
+      bands: [{ series: [2, 3], fill: INK.band }],
+      cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false } },
+      hooks: { drawSeries: [(plot, k) => k === 1 && this.drawMarks(plot)], draw: [(plot) => this.drawCursor(plot)],
+        setSelect: [(plot) => this.selected(plot)] },
+    };
+  }
+
+  // A click goes to a moment, a drag chooses a part of the pass, a double click shows all of it again.
+  listen(over) {
+    let pressed = 0;
+    over.addEventListener("mousedown", (event) => { pressed = event.clientX; });
+    over.addEventListener("click", (event) => {
+      if (Math.abs(event.clientX - pressed) < LEAST_DRAG_PX) this.handlers.goTo(this.timeAt(event.offsetX));
+    });
+    over.addEventListener("dblclick", () => this.handlers.whole());
+    over.addEventListener("mousemove", (event) => this.handlers.hover(this.timeAt(event.offsetX), event.offsetX));
+    over.addEventListener("mouseleave", () => this.handlers.hover(null, -1));
+  }
+
+  timeAt(x) {
+    return this.plot.posToVal(x, "x") + this.scene.origin;
+  }
+
+  selected(plot) {
+    const { left, width } = plot.select;
+    if (width < LEAST_DRAG_PX) return;
+    plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    this.handlers.zoom(this.timeAt(left), this.timeAt(left + width));
+  }
+
+  // scene: {rows, from, to, origin, cursor}: times in s, `origin` that of the first frame
+  draw(scene) {
+    const width = this.figure.clientWidth;
+    if (!width) return;
+    this.scene = { ...scene, rows: thinned(scene.rows, width) };
+    const { plot, spec } = this;
+    if (plot.width !== width) plot.setSize({ width, height: HEIGHT });
+    plot.batch(() => {
+      plot.setData(columns(this.scene, spec), false);
+      plot.setScale("x", { min: scene.from - scene.origin, max: scene.to - scene.origin });
+    });
+  }
+
+  say(row) {
+    const [number, other] = row ? [this.spec.value(row), this.spec.other?.(row)] : [];
+    const text = (value) => value.toFixed(Math.abs(value) >= 1000 ? 0 : 2);
+    this.value.textContent = number === undefined ? "" : `${text(number)} ${this.spec.unit}`;
+    if (other !== undefined) this.value.textContent += ` (${text(other)})`;
+  }
+
+  point(x) {
+    this.plot.setCursor({ left: x, top: x < 0 ? -10 : 0 }, false);
+  }
+
+  drawMarks(plot) {
+    const { rows, origin } = this.scene, { ctx: context, bbox } = plot;
+    const x = (row) => plot.valToPos(row.time - origin, "x", true), y = (value) => plot.valToPos(value, "y", true);
+    context.save();
+    context.beginPath();
+    context.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    context.clip();
+    if (this.spec.shares) drawStack(context, rows, this.spec, x, y);
+    else if (this.spec.key) drawOthers(context, rows, this.spec, x, y);
+    context.restore();
+  }
+
+  drawCursor(plot) {
+    const { cursor, origin } = this.scene;
+    if (cursor === null) return;
+    const { ctx: context, bbox } = plot, x = Math.round(plot.valToPos(cursor - origin, "x", true)) + 0.5;
+    if (x < bbox.left || x > bbox.left + bbox.width) return;
+    context.strokeStyle = INK.cursor;
+    context.lineWidth = 1;
+    context.setLineDash([]); // the last series' are still set
+    context.beginPath();
+    context.moveTo(x, bbox.top);
+    context.lineTo(x, bbox.top + bbox.height);
+    context.stroke();
+  }
 }
 
-// Where a pointer at `x` (px in the canvas) points to, as a time.
-export function timeAt(canvas, scene, x) {
-  const share = (x - PAD.left) / (canvas.clientWidth - PAD.left - PAD.right);
-  return scene.from + share * (scene.to - scene.from);
-}
-
-function thinned(rows, width) {
-  const stride = Math.ceil(rows.length / (2 * width));
-  return stride <= 1 ? rows : rows.filter((row, i) => i % stride === 0 || i === rows.length - 1);
-}
-
-function rangeOf(rows, spec) {
-  let [low, high] = [Infinity, -Infinity];
-  const take = (value) => { low = Math.min(low, value); high = Math.max(high, value); };
+// [time, best, upper and lower edge of the band, what is compared]; null breaks a line: a track that is lost.
+function columns({ rows, origin }, spec) {
+  const known = (value) => (Number.isFinite(value) ? value : null);
+  const found = [rows.map((row) => row.time - origin), [], [], [], []];
   for (const row of rows) {
-    const value = spec.value(row);
-    if (value === undefined) continue;
-    take(value);
+    const gone = spec.pose && GONE.includes(row.status), mode = row.modes[0];
+    const [middle, spread] = spec.key && mode && !gone ? [mode.at[spec.key], mode.spread[spec.key]] : [];
+    found[1].push(gone ? null : known(spec.value(row)));
+    found[2].push(known(middle + spread));
+    found[3].push(known(middle - spread));
+    found[4].push(known(spec.other?.(row)));
+  }
+  return found;
+}
+
+// The step from 180 to -180 degrees breaks a line too.
+function turnGaps(plot, k, first, last, gaps) {
+  const [times, values] = [plot.data[0], plot.data[k]], x = (at) => Math.round(plot.valToPos(times[at], "x", true));
+  for (let at = first + 1; at <= last; at++) {
+    if (values[at] !== null && values[at - 1] !== null && Math.abs(values[at] - values[at - 1]) > 180) {
+      gaps.push([x(at - 1), x(at)]);
+    }
+  }
+  return gaps.sort((a, b) => a[0] - b[0]);
+}
+
+export function rangeOf(rows, spec) {
+  let [low, high] = [Infinity, -Infinity];
+  const take = (value) => {
+    if (!Number.isFinite(value)) return;
+    low = Math.min(low, value);
+    high = Math.max(high, value);
+  };
+  for (const row of rows) {
+    take(spec.value(row));
+    take(spec.other?.(row));
     for (const [rank, mode] of (spec.key ? row.modes : []).entries()) {
       const spread = rank === 0 ? mode.spread[spec.key] : 0;
-      if (mode.weight < 0.02) continue;
+      if (mode.weight < LEAST_WEIGHT) continue;
       take(mode.at[spec.key] - spread);
       take(mode.at[spec.key] + spread);
     }
   }
   if (!(high >= low)) return [0, 1];
-  const margin = Math.max((high - low) * 0.08, spec.least ?? 0);
+  const margin = Math.max((high - low) * 0.08, spec.least ?? 1e-6);
   [low, high] = [spec.fromZero ? 0 : low - margin, high + margin];
   return spec.angle ? [Math.max(low, -180), Math.min(high, 180)] : [low, high];
 }
 
-function drawGrid({ context, box, x, y }, range, scene) {
-  context.strokeStyle = INK.grid;
-  context.fillStyle = INK.text;
-  context.lineWidth = 1;
-  context.textBaseline = "middle";
-  context.textAlign = "right";
-  for (const value of ticks(range[0], range[1], 3)) {
-    line(context, box.x0, Math.round(y(value)) + 0.5, box.x1, Math.round(y(value)) + 0.5);
-    context.fillText(label(value), box.x0 - 6, y(value));
-  }
-  context.textBaseline = "alphabetic";
-  context.textAlign = "center";
-  for (const time of ticks(scene.from - scene.origin, scene.to - scene.origin, (box.x1 - box.x0) / 90)) {
-    const at = x(time + scene.origin);
-    line(context, Math.round(at) + 0.5, box.y0, Math.round(at) + 0.5, box.y1);
-    context.fillText(`${label(time)} s`, Math.min(Math.max(at, box.x0 + 10), box.x1 - 12), box.y1 + 13);
-  }
-}
-
-function drawSeries(frame, spec) {
-  if (spec.key) {
-    drawBand(frame, spec);
-    drawOthers(frame, spec);
-  }
-  const { context, rows, x, y } = frame;
-  context.strokeStyle = spec.colour ?? modeColour(0);
-  context.lineWidth = 1.5;
-  context.lineJoin = "round";
-  context.beginPath();
-  for (const part of unbroken(rows, spec)) {
-    part.forEach((row, i) => context[i ? "lineTo" : "moveTo"](x(row.time), y(spec.value(row))));
-    if (part.length === 1) context.arc(x(part[0].time), y(spec.value(part[0])), 1, 0, 7);
-  }
-  context.stroke();
-}
-
-function drawBand({ context, rows, x, y }, spec) {
-  context.fillStyle = INK.band;
-  const middle = (row) => row.modes[0]?.at[spec.key];
-  for (const part of unbroken(rows, { ...spec, value: middle })) {
-    context.beginPath();
-    part.forEach((row) => context.lineTo(x(row.time), y(middle(row) + row.modes[0].spread[spec.key])));
-    part.toReversed().forEach((row) => context.lineTo(x(row.time), y(middle(row) - row.modes[0].spread[spec.key])));
-    context.fill();
-  }
-}
-
-function drawOthers({ context, rows, x, y }, spec) {
+function drawOthers(context, rows, spec, x, y) {
+  const size = 2 * uPlot.pxRatio;
   for (const row of rows) {
     row.modes.forEach((mode, rank) => {
-      if (rank === 0 || mode.weight < 0.02) return;
+      if (rank === 0 || mode.weight < LEAST_WEIGHT) return;
       context.globalAlpha = 0.25 + 0.75 * mode.weight;
       context.fillStyle = modeColour(rank);
-      context.fillRect(x(row.time) - 1, y(mode.at[spec.key]) - 1, 2, 2);
+      context.fillRect(x(row) - size / 2, y(mode.at[spec.key]) - size / 2, size, size);
     });
   }
-  context.globalAlpha = 1;
 }
 
-// Parts of the pass that a line may join: a lost track, or the step from 180 to -180 degrees, breaks it.
-function unbroken(rows, spec) {
-  const parts = [];
-  let before;
-  for (const row of rows) {
-    const value = spec.value(row);
-    const gone = value === undefined || (spec.pose && (["lost", "no_fit", "no_target"].includes(row.status)));
-    if (gone) { before = undefined; continue; }
-    if (before === undefined || (spec.angle && Math.abs(value - before) > 180)) parts.push([]);
-    parts.at(-1).push(row);
-    before = value;
-  }
-  return parts;
-}
-
-function drawStack({ context, box, rows, x }) {
-  const height = box.y1 - box.y0;
+function drawStack(context, rows, spec, x, y) {
   rows.forEach((row, i) => {
-    const from = x(row.time);
-    const to = i + 1 < rows.length ? x(rows[i + 1].time) : from + 2;
-    let y = box.y1;
-    row.modes.forEach((mode, rank) => {
-      context.fillStyle = modeColour(rank);
-      const left = Math.floor(from); // whole pixels: no seams between neighbours
-      context.fillRect(left, y - mode.weight * height, Math.max(Math.floor(to) - left, 1), mode.weight * height);
-      y -= mode.weight * height;
-    });
+    const left = Math.floor(x(row)); // whole pixels: no seams between neighbours
+    const right = i + 1 < rows.length ? Math.floor(x(rows[i + 1])) : left + 2;
+    let below = 0;
+    for (const [share, colour] of spec.shares(row)) {
+      const [top, bottom] = [Math.round(y(100 * (below + share))), Math.round(y(100 * below))];
+      context.fillStyle = colour;
+      context.fillRect(left, top, Math.max(right - left, 1), bottom - top);
+      below += share;
+    }
   });
-}
-
-function drawCursor({ context, box, x }, scene) {
-  if (scene.cursor === null) return;
-  context.strokeStyle = INK.cursor;
-  context.lineWidth = 1;
-  line(context, Math.round(x(scene.cursor)) + 0.5, 0, Math.round(x(scene.cursor)) + 0.5, box.y1);
-}
-
-// The pass as a ribbon of status colours, for the time line.
-export function drawRibbon(canvas, rows, first, count) {
-  const { clientWidth: width, clientHeight: height } = canvas;
-  canvas.width = width;
-  canvas.height = height;
-  const context = canvas.getContext("2d");
-  const each = width / Math.max(count, 1);
-  for (const row of thinned(rows, width)) {
-    context.fillStyle = STATUS[row.status]?.colour ?? INK.text;
-    context.fillRect((row.index - first) * each, 0, Math.max(each * Math.ceil(rows.length / (2 * width)), each) + 0.5, height);
-  }
-}
-
-function line(context, x0, y0, x1, y1) {
-  context.beginPath();
-  context.moveTo(x0, y0);
-  context.lineTo(x1, y1);
-  context.stroke();
-}
-
-export function ticks(low, high, about) {
-  const raw = (high - low) / Math.max(about, 1);
-  if (!(raw > 0)) return [];
-  const power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 5, 10].map((m) => m * power).find((size) => size >= raw);
-  const found = [];
-  for (let k = Math.ceil(low / step); k * step <= high; k++) found.push(k * step);
-  return found;
 }
 
 function label(value) {

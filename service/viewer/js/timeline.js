@@ -1,5 +1,5 @@
 // The time line: a slider over all frames with a ribbon of their status, play, step, and back to live.
-import { drawRibbon } from "./strip.js";
+import { drawRibbon } from "./ribbon.js";
 
 export class Timeline {
   // actions: goTo(index), live(); `rowOf(index)` tells the time of a frame

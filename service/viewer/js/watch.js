@@ -2,6 +2,8 @@
 import { loadBody } from "./body.js";
 import { History } from "./history.js";
 import { tellProblem } from "./notices.js";
+import { nearestRow } from "./plots.js";
+import { sunOnScreen } from "./rotation.js";
 import { Stream } from "./stream.js";
 
 const USUAL_HEARTBEAT_S = 15, TRAIL_ROWS = 600;
@@ -24,7 +26,7 @@ export class Watch {
 
   open(session) {
     this.close();
-    Object.assign(this, { session, cursor: null, rank: -1, kinds: {}, frames: session.frames });
+    Object.assign(this, { session, cursor: null, rank: -1, kinds: {}, frames: session.frames, reference: null });
     const { views } = this;
     views.frame.reset(session);
     views.model.reset();
@@ -114,8 +116,12 @@ export class Watch {
     this.showPose();
     views.readout.show(estimate, this.kinds, (id) => this.names.get(id) ?? id.slice(0, 8));
     views.timeline.show(this.position());
-    views.plots.build(Object.keys(estimate.spread.joints).map((name) => ({ name, kind: this.kinds[name] ?? "revolute" })));
+    const joints = Object.keys(estimate.spread.joints).map((name) => ({ name, kind: this.kinds[name] ?? "revolute" }));
+    views.plots.build(joints, Boolean(estimate.probabilities), this.reference);
     views.plots.show(this.history.rows, this.history.row(estimate.index) ?? null, this.cursor === null);
+    const row = this.history.row(estimate.index);
+    views.sky.show(row?.place, this.trail(estimate.index).map((one) => one.place).filter(Boolean), row?.time, this.session.camera);
+    document.getElementById("views").classList.toggle("with-sky", Boolean(row?.place));
     views.heading.show(estimate);
     document.documentElement.dataset.shown = estimate.index; // for tests, and for whoever scripts the page
   }
@@ -127,9 +133,20 @@ export class Watch {
 
   showPose() {
     const mode = this.shown?.modes[this.rank];
-    if (this.shown) this.views.model.show(mode?.pose ?? this.shown.best);
+    if (this.shown) {
+      const sunlit = this.shown.light?.sunlit ?? null;
+      this.views.model.show(mode?.pose ?? this.shown.best, { sun: sunOnScreen(this.shown, this.session), sunlit });
+    }
     document.querySelector("#model .shown-mode").textContent =
       mode ? `mode ${this.rank + 1}, ${(100 * mode.weight).toFixed(0)} %` : "best pose";
+  }
+
+  // What it is compared with (comparison.js), or null.
+  compare(reference) {
+    this.reference = reference;
+    this.views.frame.compare(reference);
+    this.views.readout.reference = reference;
+    if (this.shown && this.history) this.show(this.shown);
   }
 
   // Look at one mode (-1: the best pose) in the model's view, and mark its outline.
@@ -157,18 +174,10 @@ export class Watch {
 
   goToTime(time) {
     const { rows } = this.history;
-    let [low, high] = [0, rows.length - 1];
-    while (low < high) {
-      const middle = (low + high + 1) >> 1;
-      if (rows[middle].time <= time) low = middle;
-      else high = middle - 1;
-    }
-    const after = rows[low + 1];
-    const nearest = after && after.time - time < time - rows[low].time ? after : rows[low];
-    if (nearest) {
-      this.views.timeline.stop();
-      this.goTo(nearest.index);
-    }
+    const nearest = rows[nearestRow(rows, time)];
+    if (!nearest) return;
+    this.views.timeline.stop();
+    this.goTo(nearest.index);
   }
 
   goLive() {
