@@ -105,6 +105,9 @@ class Settings(BaseSettings):
     """What decoding one file may take of computing time."""
     decode_timeout_s: PositiveSeconds = 60.0
     """What decoding one file may take until there is an answer."""
+    decode_sandbox: Literal["auto", "required", "off"] = "auto"
+    """What the kernel forbids the decoding processes (docs/security.md): `auto` all that it can, `required` too, and
+    the service does not start where a measure is missing, `off` nothing."""
 
     max_checkpoint_mb: Positive = 512
     """Body of a checkpoint, in MiB."""

@@ -31,6 +31,10 @@ class Inspector:
         """Time and pointing of the first frame."""
         return await asyncio.to_thread(self._decoder(media_type).facts, body, media_type)
 
+    async def require_sandbox(self) -> None:
+        """Raise ``WorkerFailedError`` where the settings require a measure that the decode process cannot take."""
+        await asyncio.to_thread(lambda: self._apart.sandbox)
+
     def close(self) -> None:
         """End the decode process."""
         self._apart.close()
