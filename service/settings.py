@@ -86,7 +86,8 @@ class Settings(BaseSettings):
     max_image_frames: Positive = 10_000
     """Frames in one file."""
     max_image_ratio: Positive = 200
-    """Bytes of pixels per byte of a compressed file, where the pixels are more than 64 MiB."""
+    """Bytes of pixels per byte of a compressed file (gzip: of what it unpacks to), where the pixels are more than
+    64 MiB."""
     max_header_kb: Positive = 1024
     """Header of a FITS file, in KiB."""
     max_model_faces: Positive = 1_000_000
