@@ -67,7 +67,8 @@ class Settings(BaseSettings):
     session_inbox_frames: Positive = 16
     """Frames a session holds waiting; one more is answered 429."""
     max_waiting_frames: Positive = 512
-    """Frames waiting or under way in all sessions together; one more is answered 503. Small: nobody waits long."""
+    """Frames waiting or under way in all sessions together; one more is answered 503, unless its tenant has less than
+    an even share of them. Small: nobody waits long."""
     max_pending_mb: Positive = 512
     """Bytes of all waiting frames together, in MiB; more is answered 503."""
     session_idle_s: PositiveSeconds = 300.0
