@@ -80,6 +80,10 @@ class FairOrder:
         self._level_s = tenant.had_s
         return name, math.inf
 
+    def ready(self, name: str, now: float) -> None:
+        """The turn counts from now on."""
+        self._tenants[name].began_s = now
+
     def end(self, name: str, now: float, *, wasted: bool) -> None:
         """The turn is over; ``wasted``: what was sent had to be refused."""
         tenant = self._tenants[name]
@@ -111,17 +115,22 @@ class FairQueue:
         self._busy = False
         self._again: asyncio.TimerHandle | None = None
 
-    async def run(self, tenant: str, job: Callable[[], Awaitable[R]]) -> R:
+    async def run(self, tenant: str, ready: Callable[[], Awaitable[object]], job: Callable[[], Awaitable[R]]) -> R:
         """What the job gives, begun when it is the tenant's turn. An ``InputError`` out of it was a waste.
 
-        Whoever stops waiting for a job that has begun does not stop it: it keeps its turn until it is over.
+        ``ready`` brings up what does the job: time that is nobody's. Whoever stops waiting for a job that has begun
+        does not stop it: it keeps its turn until it is over.
         """
         await self._wait(tenant)
-        return await asyncio.shield(asyncio.create_task(self._have_turn(tenant, job)))
+        return await asyncio.shield(asyncio.create_task(self._have_turn(tenant, ready, job)))
 
-    async def _have_turn(self, tenant: str, job: Callable[[], Awaitable[R]]) -> R:
+    async def _have_turn(
+        self, tenant: str, ready: Callable[[], Awaitable[object]], job: Callable[[], Awaitable[R]]
+    ) -> R:
         wasted = False
         try:
+            await ready()
+            self._order.ready(tenant, time.monotonic())
             return await job()
         except InputError:
             wasted = True

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TypeVar
 
 from service.imaging.decode import FITS
@@ -56,7 +57,7 @@ class Inspector:
         self._thread.shutdown()
 
     async def _in_turn(self, tenant: str, look: Callable[[bytes, str], R], body: bytes, media_type: str) -> R:
-        async def begin() -> R:
-            return await asyncio.get_running_loop().run_in_executor(self._thread, look, body, media_type)
-
-        return await self._queue.run(tenant, begin)
+        in_thread = partial(asyncio.get_running_loop().run_in_executor, self._thread)
+        return await self._queue.run(
+            tenant, partial(in_thread, lambda: self._apart.sandbox), partial(in_thread, look, body, media_type)
+        )

@@ -107,7 +107,8 @@ class ProcessTransport:
         name = self._placement.take(key, model_of(job))
         try:
             tenant = key.rpartition("/")[0]  # see ``service.store.scope``
-            return await self._queues[name].run(tenant, partial(self._by_name[name].call_once, method, job))
+            worker = self._by_name[name]
+            return await self._queues[name].run(tenant, worker.start, partial(worker.call_once, method, job))
         except WorkerLostError:
             self._placement.forget(name)
             if len(self._placement.workers) > 1:

@@ -61,6 +61,8 @@ class WorkerProcess:
 
     async def start(self) -> None:
         """Bring the process up. Raises ``WorkerFailedError`` where it cannot be built."""
+        if self._closing:
+            raise StoppingError("the service is shutting down")
         await self._in_thread(self._up)
 
     async def call(self, method: str, job: object) -> Any:

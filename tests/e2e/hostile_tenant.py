@@ -11,6 +11,7 @@ of the good client; 0 posts as fast as it is answered.
 import argparse
 import asyncio
 import contextlib
+import functools
 import gzip
 import io
 import json
@@ -60,6 +61,7 @@ def fits_file(image: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
+@functools.cache
 def bomb() -> bytes:
     """Half a mebibyte that unpacks to more than a thousand times as much."""
     return gzip.compress(fits_file(np.zeros((64, 64), np.uint8)) + bytes(BOMB_MB << 20), 9)

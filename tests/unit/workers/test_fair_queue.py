@@ -115,6 +115,10 @@ def test_tenants_that_are_gone_are_forgotten():
     assert len(order._tenants) <= ABOUT_S
 
 
+async def ready() -> None:
+    """What does the jobs is up."""
+
+
 @pytest.mark.anyio
 async def test_jobs_of_a_tenant_keep_their_order_and_one_runs_at_a_time():
     queue, seen, running = FairQueue(), [], 0
@@ -128,7 +132,7 @@ async def test_jobs_of_a_tenant_keep_their_order_and_one_runs_at_a_time():
         seen.append(n)
         return n
 
-    assert await asyncio.gather(*(queue.run("a", lambda n=n: job(n)) for n in range(5))) == [0, 1, 2, 3, 4]
+    assert await asyncio.gather(*(queue.run("a", ready, lambda n=n: job(n)) for n in range(5))) == [0, 1, 2, 3, 4]
     assert seen == [0, 1, 2, 3, 4]
 
 
@@ -144,17 +148,36 @@ async def test_a_waste_is_told_and_makes_others_first(monkeypatch):
         if refused:
             raise ImageError("a bomb")
 
-    await queue.run("good", lambda: job("good", 0.1))
+    await queue.run("good", ready, lambda: job("good", 0.1))
     with pytest.raises(ImageError):
-        await queue.run("bad", lambda: job("bad", 2.0, refused=True))
-    again = asyncio.create_task(queue.run("bad", lambda: job("bad", 2.0)))
+        await queue.run("bad", ready, lambda: job("bad", 2.0, refused=True))
+    again = asyncio.create_task(queue.run("bad", ready, lambda: job("bad", 2.0)))
     await asyncio.sleep(0)
     for _ in range(5):
-        await queue.run("good", lambda: job("good", 2.0))
+        await queue.run("good", ready, lambda: job("good", 2.0))
     assert turns == ["good", "bad", *["good"] * 5]
     now += 2.0
     queue._next()  # as its timer would
     await again
+
+
+@pytest.mark.anyio
+async def test_what_has_to_come_up_first_is_no_cost_of_the_job(monkeypatch):
+    queue, turns, now = FairQueue(), [], 0.0
+    monkeypatch.setattr(fair_queue.time, "monotonic", lambda: now)
+
+    async def start() -> None:
+        nonlocal now
+        now += 100.0
+
+    async def job(name: str) -> None:
+        turns.append(name)
+        raise ImageError("broken")
+
+    for name in ("other", "unlucky", "unlucky"):
+        with pytest.raises(ImageError):
+            await queue.run(name, start, lambda name=name: job(name))
+    assert turns == ["other", "unlucky", "unlucky"]
 
 
 @pytest.mark.anyio
@@ -165,7 +188,7 @@ async def test_who_gives_up_leaves_the_queue_and_a_job_that_began_keeps_its_turn
         turns.append(name)
         await gate.wait()
 
-    first, second, third = [asyncio.create_task(queue.run(n, lambda n=n: job(n))) for n in ("a", "b", "c")]
+    first, second, third = [asyncio.create_task(queue.run(n, ready, lambda n=n: job(n))) for n in ("a", "b", "c")]
     while not turns:
         await asyncio.sleep(0)
     for task in (first, second):
