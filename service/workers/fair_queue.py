@@ -24,6 +24,8 @@ PROMPT_S = 0.1
 """A client that posts as fast as it is answered is back within this, and differences of so much are none."""
 REPAID = 6.0
 """Seconds of standing aside for each that was wasted: who sends nothing else has a seventh of the time."""
+LONGEST_ASIDE_S = 25.0
+"""Less than a stop of the service waits for frames in hand (SKYPOSE_SHUTDOWN_GRACE_S); repays waste of four seconds."""
 ABOUT_S = 60.0
 """A tenant counts as being about for so long after its last turn: longer than between frames of any telescope."""
 KNOWN_TENANTS = 1000
@@ -92,7 +94,7 @@ class FairOrder:
         tenant.had_s += took
         tenant.began_s, tenant.left_s = None, now
         if wasted:
-            tenant.aside_until_s = now + REPAID * took
+            tenant.aside_until_s = now + min(REPAID * took, LONGEST_ASIDE_S)
         if len(self._tenants) > KNOWN_TENANTS:
             self._tenants = {n: t for n, t in self._tenants.items() if not t.away or now - t.left_s < ABOUT_S}
 
@@ -168,6 +170,9 @@ class FairQueue:
         tenant, again = self._order.begin(now)
         if tenant is not None:
             self._busy = True
-            self._waiting[tenant].popleft().set_result(None)
+            waiting = self._waiting[tenant]
+            waiting.popleft().set_result(None)
+            if not waiting:
+                del self._waiting[tenant]
         elif again < math.inf:
             self._again = asyncio.get_running_loop().call_later(again - now, self._next)

@@ -59,7 +59,7 @@ def hostile(job_s: float, wasted: bool = True) -> list[Client]:
     return [Client("hostile", job_s, wasted=wasted) for _ in range(6)]
 
 
-@pytest.mark.parametrize("job_s", [0.4, 4.0, 20.0])
+@pytest.mark.parametrize("job_s", [0.1, 0.8, 4.0])
 @pytest.mark.parametrize(
     "victim", [Client("good", 0.06), Client("good", 0.06, period_s=0.5)], ids=["fast", "2 a second"]
 )
@@ -68,6 +68,12 @@ def test_six_loops_of_bombs_cost_another_tenant_less_than_a_fifth(victim, job_s)
     beside, _ = played(Client("good", victim.job_s, victim.pause_s, victim.period_s), *hostile(job_s))
     assert beside["good"] >= 0.8 * alone["good"]
     assert beside["hostile"] > 0
+
+
+def test_the_longest_waste_leaves_more_than_half_of_the_time():
+    _, had = played(Client("good", 0.06), *hostile(20.0))
+    assert had["good"] > 0.75 * (LONG_S - had["hostile"])
+    assert 0 < had["hostile"] < 0.5 * LONG_S
 
 
 def test_long_jobs_that_are_right_get_half_of_the_time_and_no_more():
