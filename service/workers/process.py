@@ -63,7 +63,8 @@ class WorkerProcess:
         """Bring the process up. Raises ``WorkerFailedError`` where it cannot be built."""
         if self._closing:
             raise StoppingError("the service is shutting down")
-        await self._in_thread(self._up)
+        if not self.ready:
+            await self._in_thread(self._up)
 
     async def call(self, method: str, job: object) -> Any:
         """Run a job; on a loss once more in a new process, then ``WorkerFailedError``."""
