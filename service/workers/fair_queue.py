@@ -30,6 +30,8 @@ ABOUT_S = 60.0
 """A tenant counts as being about for so long after its last turn: longer than between frames of any telescope."""
 KNOWN_TENANTS = 1000
 """Beyond so many, those that are not about any more are forgotten."""
+SEEN: dict[str, float] = {}
+"""When each tenant came or was done last, over all queues of this process: they share its machine."""
 _LONGEST_PAUSE_S = 10 * PROMPT_S
 
 
@@ -48,9 +50,10 @@ class _Tenant:
 
 
 class FairOrder:
-    """Whose turn it is. Knows no clock: every moment (seconds) is told."""
+    """Whose turn it is. Knows no clock: every moment (seconds) is told. ``seen``: see ``SEEN``."""
 
-    def __init__(self) -> None:
+    def __init__(self, seen: dict[str, float] | None = None) -> None:
+        self._seen = {} if seen is None else seen
         self._tenants: dict[str, _Tenant] = {}
         self._level_s = 0.0  # what the one whose turn it is had had before
 
@@ -61,6 +64,7 @@ class FairOrder:
             tenant.had_s = max(tenant.had_s, self._level_s)
             tenant.pause_s = (tenant.pause_s + min(now - tenant.left_s, _LONGEST_PAUSE_S)) / 2
         tenant.waiting += 1
+        self._seen[name] = now
 
     def leave(self, name: str) -> None:
         """A tenant waits for one turn less."""
@@ -93,13 +97,16 @@ class FairOrder:
         took = now - tenant.began_s
         tenant.had_s += took
         tenant.began_s, tenant.left_s = None, now
+        self._seen[name] = now
         if wasted:
             tenant.aside_until_s = now + min(REPAID * took, LONGEST_ASIDE_S)
         if len(self._tenants) > KNOWN_TENANTS:
             self._tenants = {n: t for n, t in self._tenants.items() if not t.away or now - t.left_s < ABOUT_S}
+            for gone in [n for n, seen_s in self._seen.items() if now - seen_s >= ABOUT_S]:
+                del self._seen[gone]
 
     def _others(self, name: str, now: float) -> bool:
-        return any(not t.away or now - t.left_s < ABOUT_S for other, t in self._tenants.items() if other != name)
+        return any(now - seen_s < ABOUT_S for other, seen_s in self._seen.items() if other != name)
 
 
 def _comes_first(other: _Tenant, tenant: _Tenant, now: float) -> bool:
@@ -111,8 +118,8 @@ def _comes_first(other: _Tenant, tenant: _Tenant, now: float) -> bool:
 class FairQueue:
     """The order as something to wait for, on one event loop."""
 
-    def __init__(self) -> None:
-        self._order = FairOrder()
+    def __init__(self, seen: dict[str, float] | None = None) -> None:
+        self._order = FairOrder(seen)
         self._waiting: defaultdict[str, deque[asyncio.Future[None]]] = defaultdict(deque)
         self._busy = False
         self._again: asyncio.TimerHandle | None = None

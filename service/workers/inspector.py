@@ -17,7 +17,7 @@ from service.imaging.facts import FrameFacts
 from service.imaging.headers import media_kind
 from service.workers.decode_process import DecodeProcess
 from service.workers.decoding import InPlace
-from service.workers.fair_queue import FairQueue
+from service.workers.fair_queue import SEEN, FairQueue
 from service.workers.limits import DecodeLimits
 
 R = TypeVar("R")
@@ -32,7 +32,7 @@ class Inspector:
     def __init__(self, limits: DecodeLimits) -> None:
         self._here = InPlace(limits)
         self._apart = DecodeProcess(limits)
-        self._queue = FairQueue()
+        self._queue = FairQueue(SEEN)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="inspector")
 
     async def count(self, tenant: str, body: bytes, media_type: str) -> int | None:

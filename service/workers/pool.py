@@ -14,7 +14,7 @@ from service.errors import WorkerFailedError
 from service.workers.base import PackedFrameJob
 from service.workers.child_process import Program, WorkerLostError
 from service.workers.device_process import DeviceProcess
-from service.workers.fair_queue import FairQueue
+from service.workers.fair_queue import SEEN, FairQueue
 from service.workers.placement import Placement
 from service.workers.process import WorkerProcess
 from service.workers.spare import Spare
@@ -54,7 +54,7 @@ class ProcessTransport:
         *self.workers, self.side = [WorkerProcess(name, shared, timeout_s, self._spare) for name in names]
         self._by_name = {worker.name: worker for worker in self.workers}
         self._placement = Placement(self._by_name)
-        self._queues = {name: FairQueue() for name in self._by_name}
+        self._queues = {name: FairQueue(SEEN) for name in self._by_name}
         self._starts: set[asyncio.Task[None]] = set()
 
     def prestart(self) -> None:

@@ -97,6 +97,19 @@ def test_a_slow_client_holds_nobody_up():
     assert sum(had.values()) > 0.98 * LONG_S
 
 
+def test_who_is_about_at_another_queue_counts():
+    seen: dict[str, float] = {}
+    order = FairOrder(seen)
+    seen["good"] = 0.0
+    order.come("hostile", 0.0)
+    order.begin(0.0)
+    order.end("hostile", 1.0, wasted=True)
+    order.come("hostile", 1.0)
+    assert order.begin(1.0) == (None, 7.0)
+    del seen["good"]
+    assert order.begin(1.0) == ("hostile", math.inf)
+
+
 def test_time_away_is_not_saved_up():
     order = FairOrder()
     for now in range(1000):  # one tenant alone for long
