@@ -165,6 +165,8 @@ async def _lifespan(
             await database.open()
             stack.push_async_callback(database.close)
             await services.gate.require_credentials()
+            if services.settings.decode_sandbox == "required":
+                await inspector.require_sandbox()
         except SkyposeError as error:
             app.state.refused = error.detail  # told in a line by the command
             raise

@@ -67,7 +67,8 @@ class Settings(BaseSettings):
     session_inbox_frames: Positive = 16
     """Frames a session holds waiting; one more is answered 429."""
     max_waiting_frames: Positive = 512
-    """Frames waiting or under way in all sessions together; one more is answered 503. Small: nobody waits long."""
+    """Frames waiting or under way in all sessions together; one more is answered 503, unless its tenant has less than
+    an even share of them. Small: nobody waits long."""
     max_pending_mb: Positive = 512
     """Bytes of all waiting frames together, in MiB; more is answered 503."""
     session_idle_s: PositiveSeconds = 300.0
@@ -86,7 +87,8 @@ class Settings(BaseSettings):
     max_image_frames: Positive = 10_000
     """Frames in one file."""
     max_image_ratio: Positive = 200
-    """Bytes of pixels per byte of a compressed file, where the pixels are more than 64 MiB."""
+    """Bytes of pixels per byte of a compressed file (gzip: of what it unpacks to), where the pixels are more than
+    64 MiB."""
     max_header_kb: Positive = 1024
     """Header of a FITS file, in KiB."""
     max_model_faces: Positive = 1_000_000
@@ -105,6 +107,9 @@ class Settings(BaseSettings):
     """What decoding one file may take of computing time."""
     decode_timeout_s: PositiveSeconds = 60.0
     """What decoding one file may take until there is an answer."""
+    decode_sandbox: Literal["auto", "required", "off"] = "auto"
+    """What the kernel forbids the decoding processes (docs/security.md): `auto` all that it can, `required` too, and
+    the service does not start where a measure is missing, `off` nothing."""
 
     max_checkpoint_mb: Positive = 512
     """Body of a checkpoint, in MiB."""

@@ -195,7 +195,7 @@ async def _take(
         time=query.time,
         query=query.model_dump(mode="json", exclude_none=True),
     )
-    is_batch = await services.batches.is_batch(body, frame.media_type)
+    is_batch = await services.batches.is_batch(session, body, frame.media_type)
 
     async def here(owner: Session) -> Response:
         if is_batch:

@@ -6,16 +6,20 @@ import os
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 
 def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Check packages, OpenCL devices and the data directory. Exits 1 where tracking cannot run."""
+    """Check packages, OpenCL devices, the decode sandbox and the data directory. Exits 1 where tracking cannot run."""
     import orjson
 
     from service.settings import Settings
@@ -23,6 +27,7 @@ def doctor(
     settings = Settings()
     report: dict[str, Any] = {"python": sys.version.split()[0], "data_dir": str(settings.data_dir)}
     try:
+        report["sandbox"] = _sandbox(settings)
         report["worker"] = _describe()
         report["ok"] = True
     except Exception as error:  # noqa: BLE001 -- whatever stops the worker is the diagnosis
@@ -49,9 +54,24 @@ def _lines(report: Mapping[str, Any], data_dir: Path) -> Iterator[str]:
         yield f"OpenCL {device['kind']}: {device['name']} ({device['platform']} {device['driver']}){why}"
     opengl = report.get("worker", {}).get("hand_over", {}).get("opengl")
     yield f"OpenGL: {opengl or 'none (only the backend opengl needs it)'}"
+    if "sandbox" in report:
+        from service.workers.sandbox import Sandbox
+
+        yield f"decoding of what clients send: {Sandbox(**report['sandbox'])}"
     others = (f"{name} {number}" for name, number in versions.items() if name not in ("skypose", "python"))
     yield f"packages: {', '.join(others)}" if versions else "packages: not looked at"
     yield "tracking can run" if report["ok"] else f"tracking CANNOT run: {report['error']}"
+
+
+def _sandbox(settings: Settings) -> dict[str, Any]:
+    from service.workers.decode_process import DecodeProcess
+    from service.workers.limits import DecodeLimits
+
+    decoder = DecodeProcess(DecodeLimits.of(settings.model_dump()))
+    try:
+        return asdict(decoder.sandbox)
+    finally:
+        decoder.close()
 
 
 def _describe() -> dict[str, Any]:

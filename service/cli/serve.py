@@ -72,10 +72,13 @@ def run(settings: Settings, worker: str | None = None) -> None:
     """Serve until SIGINT or SIGTERM, then finish the frames in hand. ``worker`` names another than the tracker."""
     from service.cli import logs
     from service.errors import SkyposeError
+    from service.workers.kernel import hide
     from service.workers.transports import open_transport
 
     gc.disable()  # until ``settle``: a collection in the middle of the imports finds nothing and takes its time
     logs.configure(settings.log_level, settings.log_format)
+    if settings.decode_sandbox != "off":
+        hide()  # from its decode process
     require_free(settings.host, settings.port)
     if settings.needs_credential:
         refuse_open_door(settings)

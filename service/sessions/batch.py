@@ -12,7 +12,7 @@ from service.imaging.split import PNG, SplitFrame
 from service.sessions import config as session_config
 from service.sessions.frame import Answer, FrameIn
 from service.sessions.registry import Registry
-from service.store.scope import SessionKey
+from service.store.scope import SessionKey, tenant_of
 from service.workers.engine import Engine
 from service.workers.inspector import Inspector
 from service.workers.splitting import SplitJob
@@ -26,9 +26,9 @@ class Batches:
         self._engine = engine
         self._inspector = inspector
 
-    async def is_batch(self, body: bytes, media_type: str) -> bool:
+    async def is_batch(self, session_id: SessionKey, body: bytes, media_type: str) -> bool:
         """Whether a body holds several frames (a video always counts as such). Raises ``ImageError``."""
-        return await self._inspector.count(body, media_type) != 1
+        return await self._inspector.count(tenant_of(session_id), body, media_type) != 1
 
     async def track(self, session_id: SessionKey, whole: FrameIn) -> AsyncIterator[Answer]:
         """One answer per frame. Raises what a frame posted singly would; the frames before it stay tracked."""

@@ -18,6 +18,7 @@ from service.errors import (
     StorageError,
 )
 from service.sessions.line import Line
+from service.store.scope import SessionKey, tenant_of
 
 log = structlog.get_logger(__name__)
 R = TypeVar("R")
@@ -34,10 +35,11 @@ class _Item:
 class Inbox:
     """A bounded queue and the task that empties it."""
 
-    def __init__(self, name: str, line: Line, waited: Callable[[float], None]) -> None:
+    def __init__(self, name: SessionKey, line: Line, waited: Callable[[float], None]) -> None:
         self.retired = False  # the owner's memory may no longer be the truth: restore it from the store
         self.used_at = time.monotonic()
         self._name = name
+        self._tenant = tenant_of(name)
         self._line = line
         self._waited = waited
         self._items: asyncio.Queue[_Item | None] = asyncio.Queue()
@@ -57,7 +59,7 @@ class Inbox:
 
     def require_room(self) -> None:
         """Raise ``InboxFullError`` or ``BusyError`` where one more call would be refused."""
-        self._line.require_room(self._items.qsize())
+        self._line.require_room(self._tenant, self._items.qsize())
 
     def put(self, run: Callable[[], Awaitable[R]]) -> asyncio.Future[R]:
         """Queue a call; the future holds its result."""
@@ -70,7 +72,7 @@ class Inbox:
         answer: asyncio.Future[R] = asyncio.get_running_loop().create_future()
         context = structlog.contextvars.get_contextvars()
         self._items.put_nowait(_Item(run, answer, time.monotonic(), context))
-        self._line.size += 1
+        self._line.enter(self._tenant)
         return answer
 
     async def close(self) -> None:
@@ -94,7 +96,7 @@ class Inbox:
             with structlog.contextvars.bound_contextvars(**item.log_context, session_id=self._name):
                 await self._answer(item)
             self._in_hand = False
-            self._line.size -= 1
+            self._line.leave(self._tenant)
             self.used_at = time.monotonic()
 
     async def _answer(self, item: _Item) -> None:

@@ -44,7 +44,7 @@ from service.sessions.ranging import Ranged, Ranging, scale_bounds
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, Retention, SessionRecord
 from service.store.database import Database
-from service.store.scope import public_id
+from service.store.scope import public_id, tenant_of
 from service.workers.base import BackgroundJob, FrameJob, PackedFrameReport
 from service.workers.engine import Engine
 from service.workers.inspector import Inspector
@@ -140,7 +140,9 @@ class Session:
         """What the frame's own header says, where the session believes it."""
         if self._config.camera.headers == "ignore":
             return NOTHING
-        return frame.facts or await self._rooms.inspector.facts(frame.body, frame.media_type)
+        if frame.facts is not None:
+            return frame.facts
+        return await self._rooms.inspector.facts(tenant_of(self.record.id), frame.body, frame.media_type)
 
     async def _resume(self) -> None:
         """What is remembered of the frame before; a session that was restored reads it from the store."""

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import gc
 import os
+from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from typing import Any
+
+from service.workers.kernel import die_with
 
 _SHARED = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "OPENCV_FOR_THREADS_NUM")
 _SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -13,6 +16,9 @@ _SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 def run(channel: Connection, factory: str, arguments: tuple[Any, ...], nice: int, threads: int) -> None:
     """Body of a worker process: see ``service.workers.host``. ``threads``: its share of the cores."""
+    parent = parent_process()
+    if parent is not None and parent.pid is not None:
+        die_with(parent.pid)  # whoever stands still cannot see its parent go
     gc.disable()  # until the worker is built: collections in the middle of the imports find nothing
     limit_threads(threads)
     from service.workers.host import serve

@@ -1,17 +1,19 @@
 """The decode process: limits on itself first, then one job after the other until its parent is gone.
 
-It holds no device, no database and no secret, opens no file, and its memory and time are limited by the kernel: a
-file that breaks a decoder breaks this process and nothing else.
+It holds no device, no database and no secret, and its memory and time are limited by the kernel: a file that breaks
+a decoder breaks this process and nothing else. A file that takes it over finds itself in ``service.workers.sandbox``.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import pickle
 import resource
 import socket
 import traceback
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +33,10 @@ from service.workers.decode_wire import (
 )
 from service.workers.decoding import InPlace
 from service.workers.limits import DecodeLimits
+from service.workers.sandbox import Sandbox, enter
 
 _FILES = 64
+_LATER = ("service.imaging.formats.fits", "astropy.io.fits.hdu.compressed", "astropy.wcs")  # imported when needed
 
 
 def main(descriptor: int) -> None:
@@ -41,10 +45,11 @@ def main(descriptor: int) -> None:
     try:
         limits: DecodeLimits = pickle.loads(receive_bytes(channel))
         cv2.setNumThreads(1)
-        confine(limits)
-        jobs = _jobs(InPlace(limits))
-        send_reply(channel, Reply("ready"))
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders write of every bad file; the parent has the answer
+        confine(limits)
+        sandbox = Sandbox() if limits.sandbox == "off" else enter(_load_all)
+        jobs = _jobs(InPlace(limits))
+        send_reply(channel, Reply(asdict(sandbox)))  # ready
         while True:
             method, arguments = pickle.loads(receive_bytes(channel))
             body = receive_bytes(channel)
@@ -64,6 +69,11 @@ def confine(limits: DecodeLimits) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limits.memory_bytes, limits.memory_bytes))  # files in memory count too
     resource.setrlimit(resource.RLIMIT_NOFILE, (_FILES, _FILES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _load_all() -> None:
+    for name in _LATER:
+        importlib.import_module(name)
 
 
 def allow_cpu(seconds: int) -> None:

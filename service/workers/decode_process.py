@@ -14,7 +14,8 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from typing import Any
 
 import structlog
@@ -35,9 +36,15 @@ from service.workers.decode_wire import (
     unpack_split,
 )
 from service.workers.limits import DecodeLimits
+from service.workers.sandbox import Sandbox
 
 log = structlog.get_logger(__name__)
-_START = "import sys; from service.workers.decode_child import main; main(int(sys.argv[1]))"
+_START = (
+    "import sys; from service.workers.kernel import die_with; die_with(int(sys.argv[2])); "
+    "from service.workers.decode_child import main; main(int(sys.argv[1]))"
+)
+# A process dies with the thread that started it: this one lives as long as its parent does.
+_STARTER = ThreadPoolExecutor(1, thread_name_prefix="decoder-starter")
 _START_TIMEOUT_S = 60.0
 _SOCKET_BYTES = 1 << 20
 _MOST_ATTEMPTS = 6
@@ -60,6 +67,7 @@ class _Child:
     process: subprocess.Popen[bytes]
     channel: socket.socket
     ready: bool = False
+    sandbox: Sandbox = field(default_factory=Sandbox)  # as it says when it is ready
 
 
 class DecodeProcess:
@@ -76,6 +84,15 @@ class DecodeProcess:
         """Process id, or None while there is none."""
         child = self._child
         return None if child is None else child.process.pid
+
+    @property
+    def sandbox(self) -> Sandbox:
+        """What holds the process, which is brought up for it. Raises ``WorkerFailedError``."""
+        with self._turn:
+            try:
+                return self._ready().sandbox
+            except _LostError as loss:
+                raise WorkerFailedError(f"the decoder {loss}") from loss
 
     def prestart(self) -> None:
         """Begin to bring the process up, without waiting."""
@@ -171,13 +188,7 @@ class DecodeProcess:
             here, there = socket.socketpair()
             for end in (here, there):
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
-            process = subprocess.Popen(
-                [sys.executable, "-c", _START, str(there.fileno())],
-                env=_environment(),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                pass_fds=(there.fileno(),),
-            )
+            process = _STARTER.submit(_started, there.fileno()).result()
             there.close()  # so that the end of the process is the end of the stream
             self._child = _Child(process, here)
             with contextlib.suppress(OSError):  # it is gone already: the first job will say so
@@ -188,12 +199,23 @@ class DecodeProcess:
         child = self._begin()
         if not child.ready:
             try:
-                receive_reply(child.channel, 0, time.monotonic() + _START_TIMEOUT_S)
+                reply = receive_reply(child.channel, 0, time.monotonic() + _START_TIMEOUT_S)
             except (EOFError, OSError, ValueError) as error:
                 self._end()
                 raise _LostError(f"does not start: {type(error).__name__}", None) from error
-            child.ready = True
+            child.ready, child.sandbox = (
+                True,
+                self._accepted(Sandbox(tuple(reply.value["in_force"]), reply.value["missing"])),
+            )
         return child
+
+    def _accepted(self, sandbox: Sandbox) -> Sandbox:
+        if sandbox.missing and self.limits.sandbox == "required":
+            self._end()
+            raise WorkerFailedError(f"SKYPOSE_DECODE_SANDBOX is required, but of it holds: {sandbox}")
+        if sandbox.missing:
+            log.warning("decode sandbox not complete", missing=sandbox.missing)
+        return sandbox
 
     def _end(self) -> None:
         child, self._child = self._child, None
@@ -201,6 +223,16 @@ class DecodeProcess:
             child.channel.close()
             child.process.kill()
             child.process.wait()
+
+
+def _started(descriptor: int) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-c", _START, str(descriptor), str(os.getpid())],
+        env=_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        pass_fds=(descriptor,),
+    )
 
 
 def _refusal(method: str, value: dict[str, Any]) -> InputError:
@@ -227,6 +259,7 @@ def _environment() -> dict[str, str]:
     return {
         **kept,
         "PYTHONPATH": os.pathsep.join(sys.path),
+        "HOME": "/nonexistent",  # astropy asks for one, and would ask the user database
         "PYTHONDONTWRITEBYTECODE": "1",
         "OPENBLAS_NUM_THREADS": "1",
         "MALLOC_ARENA_MAX": "2",

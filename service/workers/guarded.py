@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gpu.kernel_cache import KernelCache
 from service.workers.decode_process import DecodeProcess
+from service.workers.kernel import hide
 from service.workers.limits import DecodeLimits
 from service.workers.shared_scorer import open_shared
 from service.workers.tracker import Tracker
@@ -18,6 +19,8 @@ def guarded(limits: DecodeLimits, kernels: Path | None = None, device: str | Non
     What clients send is decoded in a process of its own; built kernels are kept in the folder ``kernels`` if there is
     one. ``device`` is the address of a device's owner that scores for several workers.
     """
+    if limits.sandbox != "off":
+        hide()  # from the decoder, too
     decoder = DecodeProcess(limits)
     decoder.prestart()
     cache = None if kernels is None else KernelCache(kernels)

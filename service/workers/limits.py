@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from gpu.mesh_limits import MeshLimits
 from service.imaging.limits import ImageLimits
@@ -17,6 +17,7 @@ class DecodeLimits:
     memory_bytes: int = 2 << 30  # beyond what the process takes before its first job
     cpu_s: int = 20  # of one job
     timeout_s: float = 60.0  # of one job, on a machine that is busy with other things
+    sandbox: Literal["auto", "required", "off"] = "auto"  # what the process gives up beside (``sandbox``)
     image: ImageLimits = field(default_factory=ImageLimits)
     mesh: MeshLimits = field(default_factory=MeshLimits)
 
@@ -27,6 +28,7 @@ class DecodeLimits:
             memory_bytes=settings["decode_memory_mb"] << 20,
             cpu_s=settings["decode_cpu_s"],
             timeout_s=settings["decode_timeout_s"],
+            sandbox=settings["decode_sandbox"],
             image=ImageLimits(
                 pixels=settings["max_image_pixels"],
                 frames=settings["max_image_frames"],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import structlog
@@ -13,6 +14,7 @@ from service.errors import WorkerFailedError
 from service.workers.base import PackedFrameJob
 from service.workers.child_process import Program, WorkerLostError
 from service.workers.device_process import DeviceProcess
+from service.workers.fair_queue import SEEN, FairQueue
 from service.workers.placement import Placement
 from service.workers.process import WorkerProcess
 from service.workers.spare import Spare
@@ -25,8 +27,8 @@ Batching = Literal["auto", "on", "off"]
 class ProcessTransport:
     """Tracking processes among which sessions are spread, and one beside them for models and overlays.
 
-    Preparing a large mesh takes seconds; on a process of its own it holds up no frame. One more is kept ready, for
-    whichever is lost.
+    Each is shared between tenants by time (``service.workers.fair_queue``). Preparing a large mesh takes seconds; on
+    a process of its own it holds up no frame. One more is kept ready, for whichever is lost.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class ProcessTransport:
         *self.workers, self.side = [WorkerProcess(name, shared, timeout_s, self._spare) for name in names]
         self._by_name = {worker.name: worker for worker in self.workers}
         self._placement = Placement(self._by_name)
+        self._queues = {name: FairQueue(SEEN) for name in self._by_name}
         self._starts: set[asyncio.Task[None]] = set()
 
     def prestart(self) -> None:
@@ -103,7 +106,9 @@ class ProcessTransport:
     async def _run(self, key: str, method: str, job: object) -> Any:
         name = self._placement.take(key, model_of(job))
         try:
-            return await self._by_name[name].call_once(method, job)
+            tenant = key.rpartition("/")[0]  # see ``service.store.scope``
+            worker = self._by_name[name]
+            return await self._queues[name].run(tenant, worker.start, partial(worker.call_once, method, job))
         except WorkerLostError:
             self._placement.forget(name)
             if len(self._placement.workers) > 1:

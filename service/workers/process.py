@@ -61,7 +61,10 @@ class WorkerProcess:
 
     async def start(self) -> None:
         """Bring the process up. Raises ``WorkerFailedError`` where it cannot be built."""
-        await self._in_thread(self._up)
+        if self._closing:
+            raise StoppingError("the service is shutting down")
+        if not self.ready:
+            await self._in_thread(self._up)
 
     async def call(self, method: str, job: object) -> Any:
         """Run a job; on a loss once more in a new process, then ``WorkerFailedError``."""

@@ -7,8 +7,10 @@ from api_client import running
 
 from service.api import schemas
 from service.api.problems import problem_type
-from service.errors import every_error
+from service.errors import WorkerFailedError, every_error
 from service.settings import Settings
+from service.workers.decode_process import DecodeProcess
+from service.workers.sandbox import Sandbox
 
 pytestmark = pytest.mark.anyio
 
@@ -19,6 +21,18 @@ async def test_health_and_system(api):
     assert (ready.status_code, ready.json()["checks"]) == (200, {"worker": True, "database": True})
     system = (await api.http.get("/v1/system")).json()
     assert system["worker"] == {"scorer": "fake"}
+
+
+async def test_a_sandbox_that_is_required_and_missing_refuses_the_start(make_app, monkeypatch):
+    lacking = Sandbox(("seccomp",), {"Landlock": "none in this kernel"})
+    monkeypatch.setattr(DecodeProcess, "sandbox", property(lambda self: self._accepted(lacking)))
+    app = make_app(decode_sandbox="required")
+    with pytest.raises(WorkerFailedError):
+        async with running(app):
+            pass
+    assert app.state.refused.startswith("SKYPOSE_DECODE_SANDBOX is required")
+    async with running(make_app()) as api:
+        assert (await api.http.get("/readyz")).status_code == 200
 
 
 async def test_metrics_count_frames_and_refusals(api):

@@ -8,7 +8,6 @@ of three is colour, unless CTYPE3 speaks of time; any other is a sequence of fra
 from __future__ import annotations
 
 import io
-import re
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
@@ -24,7 +23,7 @@ from service.imaging.facts import FrameFacts
 from service.imaging.formats.fits_header import read_header_facts
 from service.imaging.frame import Frame, as_frame
 from service.imaging.headers import broken
-from service.imaging.limits import ImageLimits
+from service.imaging.limits import RATIO_FROM_BYTES, ImageLimits
 
 _GZIP = b"\x1f\x8b"
 _BYTES_PER_PIXEL = 8
@@ -32,6 +31,7 @@ _HEADROOM = 1 << 24  # headers and tables beside the pixels
 _TOP_DOWN = "TOP-DOWN"
 _BLOCK = 2880
 _END = b"END".ljust(80)
+_HEADER_STARTS = (b"SIMPLE  =", b"XTENSION=")
 
 
 def read_fits(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
@@ -99,23 +99,24 @@ def _whole(hdus: Any, length: int) -> Iterator[Any]:
 
 def _require_headers(data: bytes, limits: ImageLimits) -> None:
     """Raises ``TooLargeError`` where cards go on and on: each costs the parser more than its 80 bytes."""
-    for first in re.finditer(rb"SIMPLE  =|XTENSION=", data):
-        if first.start() % _BLOCK == 0:
-            end = data.find(_END, first.start(), first.start() + limits.header_bytes + len(_END))
-            left = len(data) - first.start()
+    for start in range(0, len(data), _BLOCK):
+        if data.startswith(_HEADER_STARTS, start):
+            end = data.find(_END, start, start + limits.header_bytes + len(_END))
             if end < 0:
-                limits.require_header(left)
+                limits.require_header(len(data) - start)
 
 
 def _inflated(body: bytes, limits: ImageLimits) -> bytes:
-    limit = limits.pixels * _BYTES_PER_PIXEL + _HEADROOM
+    most = limits.pixels * _BYTES_PER_PIXEL + _HEADROOM
+    limit = min(most, max(RATIO_FROM_BYTES, limits.ratio * len(body)) + _HEADROOM)
     inflater = zlib.decompressobj(wbits=31)
     try:
         data = inflater.decompress(body, limit)
     except zlib.error as error:
         raise broken(f"FITS: damaged gzip: {error}") from error
     if inflater.unconsumed_tail:
-        raise TooLargeError(f"the file unpacks to more than {limit} bytes", field="body", limit=limit)
+        setting = "SKYPOSE_MAX_IMAGE_PIXELS" if limit == most else "SKYPOSE_MAX_IMAGE_RATIO"
+        raise TooLargeError(f"the file unpacks to more than {limit} bytes", field="body", limit=limit, setting=setting)
     if not inflater.eof:
         raise broken("FITS: the gzip file is cut short")
     return data

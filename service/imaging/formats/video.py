@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator, Sequence
 
 import cv2
@@ -14,6 +15,8 @@ from service.imaging.headers import broken
 from service.imaging.limits import ImageLimits
 
 _MATROSKA = b"\x1a\x45\xdf\xa3"
+_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"  # of the process: how OpenCV hands FFmpeg a handle instead of a path
+_OPENING = threading.Lock()
 
 
 def read_video(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
@@ -27,16 +30,18 @@ def read_video(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
     # In memory: a decoder that is ended in the middle leaves no file behind.
     with os.fdopen(os.memfd_create("video"), "wb") as file:
         file.write(body)
-        file.flush()
-        images = list(_images(f"/proc/self/fd/{file.fileno()}", limits))
+        file.seek(0)
+        images = list(_images(file.fileno(), limits))
     if not images:
         raise broken("the video has no frame that can be decoded")
     grey = all(np.array_equal(image[:, :, 0], image[:, :, k]) for image in images for k in (1, 2))
     return [as_frame(image[:, :, 0] if grey else image[:, :, ::-1]) for image in images]
 
 
-def _images(path: str, limits: ImageLimits) -> Iterator[NDArray[np.uint8]]:
-    capture = cv2.VideoCapture(path, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+def _images(handle: int, limits: ImageLimits) -> Iterator[NDArray[np.uint8]]:
+    with _OPENING:
+        os.environ[_OPTIONS] = f"fd;{handle}"  # FFmpeg's protocol "fd": where no file may be opened it works too
+        capture = cv2.VideoCapture("fd:", cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     try:
         width, height = (int(capture.get(name)) for name in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         if not capture.isOpened():

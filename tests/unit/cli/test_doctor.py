@@ -36,3 +36,5 @@ def test_people_get_lines():
     assert result.exit_code == 0 and lines[-1] == "tracking can run"
     assert lines[0].startswith("skypose ") and any("GiB free" in line for line in lines)
     assert any(line.startswith("OpenCL ") for line in lines) and "{" not in result.stdout
+    (sandbox,) = (line for line in lines if line.startswith("decoding of what clients send: "))
+    assert "dies with its parent, no core dumps, no capabilities, no new privileges" in sandbox

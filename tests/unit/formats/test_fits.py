@@ -102,6 +102,14 @@ def test_limits_hold_before_anything_is_unpacked():
         decode_frame(gzip.compress(bytes(1 << 25)), FITS, limits=ImageLimits(pixels=10))
 
 
+def test_small_gzip_files_do_not_unpack_to_large_ones():
+    bomb = gzip.compress(written(DEEP) + bytes(90 << 20))
+    with pytest.raises(TooLargeError) as refused:
+        decode_frame(bomb, FITS)
+    assert refused.value.facts["setting"] == "SKYPOSE_MAX_IMAGE_RATIO"
+    assert decode_frame(bomb, FITS, limits=ImageLimits(ratio=1000)).image.shape == DEEP.shape
+
+
 @pytest.mark.parametrize(
     "body", [b"SIMPLE", b"SIMPLE  =                    T" + b" " * 5000, b"\x1f\x8bjunk", b"hello", b""]
 )

@@ -141,6 +141,21 @@ async def test_sessions_are_spread_and_the_side_is_apart():
         await transport.close()
 
 
+async def test_who_comes_seventh_is_second_where_the_others_are_one_tenant():
+    transport, order = ProcessTransport(Program(FACTORY_OF_AWKWARD), 1, 60.0), []
+
+    async def call(tenant: str, n: int) -> None:
+        await transport.call(f"{tenant}/{n}", "overlay", None)
+        order.append(tenant)
+
+    await transport.start()
+    try:
+        await asyncio.gather(*(call("hostile", n) for n in range(6)), call("good", 0))
+    finally:
+        await transport.close()
+    assert order == ["hostile", "good", *["hostile"] * 5]
+
+
 async def test_spare_takes_the_place_of_one_that_is_lost():
     spare = Spare(Program(FACTORY_OF_AWKWARD))
     process = WorkerProcess("w", Program(FACTORY_OF_AWKWARD), 60.0, spare)
