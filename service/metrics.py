@@ -52,6 +52,13 @@ class Metrics:
         self.fenced = Counter(
             "skypose_fenced_frames_total", "Frames not stored, as another took the session", registry=self.registry
         )
+        self.cut_connections = Counter(
+            "skypose_cut_connections_total",
+            "Connections cut: no head in time, or too many from one address or in all",
+            ["reason"],
+            registry=self.registry,
+        )
+        self.connections = self._gauge("skypose_connections", "Open connections")
         self.evictions = Counter("skypose_evictions_total", "Idle sessions that left memory", registry=self.registry)
         self.resident_sessions = self._gauge("skypose_resident_sessions", "Sessions in memory")
         self.waiting_frames = self._gauge("skypose_waiting_frames", "Frames waiting or under way")
