@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import resource
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import chain, takewhile
 from typing import Any, cast
 
 import h11
@@ -28,10 +30,11 @@ from service.api.services import Services
 from service.errors import BusyError
 from service.settings import Settings
 
-ACCEPTED_AT_ONCE = 64  # in one turn of the event loop, which could take all handles before the first is counted
+ACCEPTED_AT_ONCE = 16  # in one turn of the event loop: calls go on between, and each is counted before handles run out
 LISTEN_QUEUE = 2048  # connections that the kernel keeps until then
 PROBE_CONNECTIONS = 32  # beyond the limit, where only probes are answered
 OWN_HANDLES = 128  # the database, pipes to the workers, files of the page
+HEAD_SOON_S = 1.0  # for a new connection to say what it wants before one that was of use gives way to it
 LINGER_S = 5.0  # for an answer to be read before the connection is cut; nginx waits so long (lingering_timeout)
 
 
@@ -47,6 +50,7 @@ class Link:
         self._closing = False
         self.address = str((transport.get_extra_info("peername") or ("",))[0])
         self.body_unread = False
+        self.counted = False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._transport, name)
@@ -83,19 +87,23 @@ class Door:
         self._is_proxy = is_proxy
         self._open = 0
         self._of_address: Counter[str] = Counter()
-        self._new: dict[Link, None] = {}  # in order of arrival; without a whole head so far
-        self._idle: dict[Link, None] = {}  # in order of their last answer
+        # Those not in the middle of a call, and since when, in that order: without a whole head so far, with a call
+        # answered, and with the rest of a refused body.
+        self._new: dict[Link, float] = {}
+        self._idle: dict[Link, float] = {}
+        self._ending: dict[Link, float] = {}
 
     @property
     def busy(self) -> int:
         """Connections in the middle of a call."""
-        return self._open - len(self._new) - len(self._idle)
+        return self._open - len(self._new) - len(self._idle) - len(self._ending)
 
     def enter(self, link: Link) -> None:
         """A new connection. The one that waits longest gives way where there are too many."""
+        link.counted = True
         self._open += 1
         self._of_address[link.address] += 1
-        self._new[link] = None
+        self._new[link] = time.monotonic()
         if 0 < self._most_of_address < self._of_address[link.address] and not self._is_proxy(link.address):
             self._make_room("address", link.address)
         elif self._open > self._most + PROBE_CONNECTIONS:
@@ -106,17 +114,21 @@ class Door:
         """It has sent the head of a call."""
         self._new.pop(link, None)
         self._idle.pop(link, None)
+        self._ending.pop(link, None)
 
     def wait(self, link: Link) -> None:
         """Its call is answered."""
-        self._idle[link] = None
+        (self._ending if link.is_closing() else self._idle)[link] = time.monotonic()
 
     def waits(self, link: Link) -> bool:
-        """Whether it is not in the middle of a call."""
+        """Whether it is to send the head of a call."""
         return link in self._new or link in self._idle
 
     def leave(self, link: Link) -> None:
-        """It is gone."""
+        """It is gone, or as good as gone."""
+        if not link.counted:
+            return
+        link.counted = False
         self.begin(link)
         self._open -= 1
         self._of_address[link.address] -= 1
@@ -126,7 +138,7 @@ class Door:
 
     def cut(self, link: Link, reason: str) -> None:
         """End a connection that keeps others waiting."""
-        self.begin(link)
+        self.leave(link)
         self._metrics.cut_connections.labels(reason).inc()
         link.abort()
 
@@ -144,12 +156,13 @@ class Door:
         return guarded
 
     def _make_room(self, reason: str, address: str | None) -> None:
-        """Cut the connection that waits longest, of an address or any; one that was of use so far comes last."""
-        for waiting in (self._new, self._idle):
-            for link in waiting:
-                if address in (None, link.address):
-                    self.cut(link, reason)
-                    return
+        """Cut the connection that has waited longest, of an address or any. One that was of use so far comes late."""
+        soon = time.monotonic() - HEAD_SOON_S
+        slow = takewhile(lambda link: self._new[link] < soon, self._new)
+        for link in chain(self._ending, slow, self._idle, self._new):
+            if address in (None, link.address):
+                self.cut(link, reason)
+                return
 
 
 class HttpProtocol(H11Protocol):

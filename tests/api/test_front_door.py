@@ -225,8 +225,8 @@ async def large_picture(*_, **__) -> bytes:
 
 def test_connections_leave_handles_for_the_rest(monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1024, 4096))
-    assert door.connection_limit(Settings()) == 800
+    assert door.connection_limit(Settings()) == 848
     assert door.connection_limit(Settings(max_connections=100)) == 100
-    assert door.connection_limit(Settings(database_url="postgresql+psycopg://there/it")) == 400
+    assert door.connection_limit(Settings(database_url="postgresql+psycopg://there/it")) == 424
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, 4096))
     assert door.connection_limit(Settings()) == Settings().max_connections
