@@ -118,7 +118,8 @@ class Door:
 
     def wait(self, link: Link) -> None:
         """Its call is answered."""
-        (self._ending if link.is_closing() else self._idle)[link] = time.monotonic()
+        if link.counted:
+            (self._ending if link.is_closing() else self._idle)[link] = time.monotonic()
 
     def waits(self, link: Link) -> bool:
         """Whether it is to send the head of a call."""

@@ -2,6 +2,9 @@
 
 import asyncio
 import resource
+import socket
+import struct
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -221,6 +224,15 @@ async def test_who_takes_nothing_is_cut(make_app, monkeypatch):
 
 async def large_picture(*_, **__) -> bytes:
     return bytes(1 << 26)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's queue is told by Linux only")
+async def test_the_kernel_keeps_more_connections_than_one_turn_accepts():
+    async with await asyncio.start_server(lambda *_: None, "127.0.0.1", 0, backlog=1) as listener:
+        door.deepen([listener])
+        told = listener.sockets[0].getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 104)
+    (queue,) = struct.unpack_from("I", told, 28)  # tcpi_sacked, of a socket that listens
+    assert queue > 16  # of 2048 what the machine allows
 
 
 def test_connections_leave_handles_for_the_rest(monkeypatch):
