@@ -83,7 +83,7 @@ class UnsupportedMediaTypeError(InputError):
 
 
 class SlowBodyError(InputError):
-    """The rest of the body did not come; ``setting`` says how long was waited for the next piece."""
+    """The rest of the body did not come; ``setting`` says how long was waited, or at what rate it must come."""
 
     slug, title, status = "slow-body", "Body too slow", 408
 

@@ -132,7 +132,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         batch_places=Places(settings.max_batches, "SKYPOSE_MAX_BATCHES"),
         batches=Batches(registry, engine, inspector),
         status=Status(database, engine, settings.min_free_mb * MEBIBYTE),
-        admission=Admission(settings.max_pending_mb * MEBIBYTE),
+        admission=Admission(settings.max_pending_mb * MEBIBYTE, settings.quota_pending_mb * MEBIBYTE),
         submissions=Submissions(),
         forwarding=forwarding,
         gate=Gate(settings, keys, open_oidc(settings), tickets),

@@ -57,6 +57,13 @@ class Metrics:
         self.retention = Counter(
             "skypose_retention_total", "Sessions ended and deleted by rule", ["action"], registry=self.registry
         )
+        self.cut_connections = Counter(
+            "skypose_cut_connections_total",
+            "Connections cut: no head in time, or too many from one address or in all",
+            ["reason"],
+            registry=self.registry,
+        )
+        self.connections = self._gauge("skypose_connections", "Open connections")
         self.evictions = Counter("skypose_evictions_total", "Idle sessions that left memory", registry=self.registry)
         self.resident_sessions = self._gauge("skypose_resident_sessions", "Sessions in memory")
         self.waiting_frames = self._gauge("skypose_waiting_frames", "Frames waiting or under way")

@@ -193,8 +193,16 @@ class Settings(BaseSettings):
     quota_stored_mb: Annotated[int, Field(ge=0)] = 0
     """MiB that one tenant may have stored (files, estimates, particles), measured every ten seconds; then what would
     store more is answered 429. 0: any."""
-    quota_streams: Annotated[int, Field(ge=0)] = 256
+    quota_streams: Annotated[int, Field(ge=0)] = 192
     """Watchers of one tenant at once; one more is answered 429. 0: any number."""
+    quota_pending_mb: Annotated[int, Field(ge=0)] = 448
+    """Bytes of all waiting frames and other bodies of one tenant, in MiB; more is answered 429. 0: any."""
+    quota_calls: Annotated[int, Field(ge=0)] = 512
+    """Calls of one tenant under way at once, streams apart; one more is answered 429. 0: any number."""
+    quota_heavy_reads: Annotated[int, Field(ge=0)] = 24
+    """Of those, pictures and the like (`SKYPOSE_MAX_HEAVY_READS`); one more is answered 429. 0: any number."""
+    max_key_calls: Annotated[int, Field(ge=0)] = 256
+    """Calls of one key under way at once, streams apart; one more is answered 429. 0: any number."""
     max_calls: Positive = 1024
     """Calls under way at once, streams and heavy reads apart; one more is answered 503."""
     max_heavy_reads: Positive = 32
@@ -203,6 +211,16 @@ class Settings(BaseSettings):
     """Files of several frames being tracked at once; one more is answered 503."""
     body_timeout_s: PositiveSeconds = 30.0
     """A client that sends nothing for so long in the middle of a body is answered 408."""
+    body_kb_per_s: Annotated[float, Field(ge=0)] = 1.0
+    """The least rate of a body in KiB/s, after the time above; a slower one is answered 408. 0: any."""
+    max_page_files: Positive = 128
+    """Files of the page and of the API's documentation, which need no key, being read at once; then 503."""
+    max_connections: Positive = 4096
+    """Connections in the middle of a call, and at most what the limit of open files leaves; then only probes."""
+    max_connections_per_address: Annotated[int, Field(ge=0)] = 1024
+    """Connections from one address that is no proxy (docs/security.md); past it one that waits is cut. 0: any."""
+    head_timeout_s: PositiveSeconds = 10.0
+    """A connection that has not sent the head of a call after so long is cut."""
 
     audit_days: Positive = 90
     """Entries of the audit log are kept so many days."""

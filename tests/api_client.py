@@ -14,6 +14,8 @@ import uvicorn
 from fake_worker import CUBE
 from fastapi import FastAPI
 
+from service.api.door import server_config
+
 PNG = {"Content-Type": "image/png"}
 
 
@@ -71,7 +73,7 @@ async def served(app: FastAPI, port: int = 0) -> AsyncIterator[str]:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.bind(("127.0.0.1", port))
     host, port = listener.getsockname()
-    server = uvicorn.Server(uvicorn.Config(app, log_config=None, ws="websockets-sansio", timeout_graceful_shutdown=5))
+    server = uvicorn.Server(server_config(app, timeout_graceful_shutdown=5))
     server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign]
     task = asyncio.create_task(server.serve(sockets=[listener]))
     try:

@@ -21,10 +21,14 @@ from service.api.services import services_of
 
 TICKETS_FOR = ("/stream", "/events")
 PRINCIPAL = "principal"  # where a request's state keeps it, for the middlewares
+ENTER = "enter"  # what a request's state has for whoever is admitted: takes the call's place, or refuses it
 
 
 async def admit(connection: HTTPConnection) -> Principal:
-    """Who calls, after one look at credentials, origin and rate. Raises what the gate and the limits do."""
+    """Who calls, after one look at credentials, origin and rate; the call takes its place only then.
+
+    Raises what the gate and the limits do, and ``BusyError``.
+    """
     services = services_of(connection)
     headers = connection.headers
     peers, token = services.forwarding.peers, headers.get(HEADER)
@@ -33,6 +37,7 @@ async def admit(connection: HTTPConnection) -> Principal:
     ):  # admitted and counted where it came in
         principal = peers.verify(token, connection.scope["method"], target_of(connection))
         connection.scope.setdefault("state", {}).update({PRINCIPAL: principal, FORWARDED: True})
+        _enter(connection, principal)
         return principal
     takes_tickets = connection.url.path.endswith(TICKETS_FOR)
     principal = await services.gate.admit(
@@ -46,7 +51,14 @@ async def admit(connection: HTTPConnection) -> Principal:
     connection.scope.setdefault("state", {})[PRINCIPAL] = principal
     services.limits.check(principal, "calls")
     services.limits.take(principal, "calls", 1)
+    _enter(connection, principal)
     return principal
+
+
+def _enter(connection: HTTPConnection, principal: Principal) -> None:
+    enter = connection.scope["state"].get(ENTER)
+    if enter is not None:  # not for a probe, nor for a WebSocket, which takes its place in the hub
+        enter(principal)
 
 
 def _of_role(role: Role) -> Callable[[Principal], Awaitable[Principal]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import hashlib
 from typing import Any, TypeVar
 
@@ -13,18 +12,16 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.access.peers import FORWARDED
-from service.access.principal import Principal
+from service.access.principal import LOCAL, Principal
 from service.api.auth import PRINCIPAL
 from service.api.problems import problem_response
 from service.api.services import Services, services_of
-from service.errors import ConfigError, InputError, SkyposeError, TooLargeError, UnsupportedMediaTypeError
+from service.errors import ConfigError, InputError, TooLargeError, UnsupportedMediaTypeError
 from service.settings import MEBIBYTE, Settings
 
 M = TypeVar("M", bound=BaseModel)
 _JSON_LIMIT = "SKYPOSE_MAX_JSON_KB"
 HASH_IN_LOOP_BYTES = 1 << 16
-DRAIN_FACTOR = 4
-DRAIN_S = 10.0
 
 
 class BodyLimits:
@@ -35,13 +32,12 @@ class BodyLimits:
         self._settings = settings
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on, with ``receive`` counted. A body declared too large is drained, then refused."""
+        """Pass on, with ``receive`` counted. A body declared too large is refused at once."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
         error = self._refusal(scope)
         if error is not None:
-            await _drain(receive, error.facts["limit"] * DRAIN_FACTOR)
             await problem_response(error)(scope, receive, send)
             return
         name, limit = self._limit(scope["path"])
@@ -51,16 +47,12 @@ class BodyLimits:
             async def counted() -> Message:
                 message = await receive()
                 size = len(message.get("body", b""))
-                try:
-                    if size:
-                        await _charge(services, scope, size, first=hold.size == 0, stored=name != _JSON_LIMIT)
-                    if hold.size + size > limit:
-                        raise _too_large(name, limit)
-                    hold.grow(size)
-                except SkyposeError:
-                    if message.get("more_body"):
-                        await _drain(receive, limit * DRAIN_FACTOR)
-                    raise
+                if size:
+                    await _charge(services, scope, size, first=hold.size == 0, stored=name != _JSON_LIMIT)
+                if hold.size + size > limit:
+                    raise _too_large(name, limit)
+                hold.tenant = _whose(scope)
+                hold.grow(size)
                 return message
 
             await self._app(scope, counted, send)
@@ -98,19 +90,14 @@ async def _charge(services: Services, scope: Scope, size: int, *, first: bool, s
             services.stored.grew(caller.tenant, size)
 
 
+def _whose(scope: Scope) -> str:
+    """The tenant that a body's bytes are counted for; none where no key is needed, as there is nobody else."""
+    caller: Principal = scope.get("state", {}).get(PRINCIPAL, LOCAL)
+    return "" if caller == LOCAL else caller.tenant
+
+
 def _too_large(setting: str, limit: int) -> TooLargeError:
     return TooLargeError(f"the body is larger than {limit} bytes", field="body", limit=limit, setting=setting)
-
-
-async def _drain(receive: Receive, most: int) -> None:
-    """Read and forget the rest of a body, so that a client that is still sending hears the refusal."""
-    with contextlib.suppress(TimeoutError):  # it is answered all the same, and then cut off
-        async with asyncio.timeout(DRAIN_S):
-            while most > 0:
-                message = await receive()
-                most -= len(message.get("body", b""))
-                if message["type"] != "http.request" or not message.get("more_body"):
-                    return
 
 
 async def read_body(request: Request) -> tuple[bytes, str]:

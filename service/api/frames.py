@@ -203,7 +203,7 @@ async def _take(
         answer = owner.submit(frame)
         services.limits.take(caller, "pixels", owner.frame_pixels)
         if in_background and key is not None:
-            services.submissions.follow(session, key, _held(services, len(body), answer))
+            services.submissions.follow(session, key, _held(services, caller.tenant, len(body), answer))
             return _accepted(session, key)
         result = await answer
         location = f"/v1/sessions/{public_id(session)}/estimates/{result.index}"
@@ -212,13 +212,13 @@ async def _take(
     return await services.forwarding.at_owner(Call.of(request, session, caller, body, key), here)
 
 
-async def _held(services: Services, size: int, answer: asyncio.Future[Answer]) -> None:
+async def _held(services: Services, tenant: str, size: int, answer: asyncio.Future[Answer]) -> None:
     """Count the body's bytes until the frame is answered: the request that brought it ends before."""
-    services.admission.size += size
+    services.admission.add(tenant, size)
     try:
         await answer
     finally:
-        services.admission.size -= size
+        services.admission.add(tenant, -size)
 
 
 def _accepted(session: SessionKey, key: str) -> Response:

@@ -138,26 +138,25 @@ def _refuse(why: str, error: BaseException) -> NoReturn:
 def _server(app: FastAPI, settings: Settings) -> uvicorn.Server:
     import uvicorn
 
+    from service.api.door import deepen, server_config
+
     class Server(uvicorn.Server):
         """Sends the watchers home first: uvicorn would wait for their endless answers."""
 
         async def startup(self, sockets: Any = None) -> None:
             await super().startup(sockets)
+            deepen(self.servers)
             settle()
 
         def handle_exit(self, sig: int, frame: Any) -> None:
             app.state.services.hub.stop()
             super().handle_exit(sig, frame)
 
-    config = uvicorn.Config(
+    config = server_config(
         app,
         host=settings.host,
         port=settings.port,
-        log_config=None,
-        ws="websockets-sansio",
-        ws_max_size=1 << 16,
         timeout_graceful_shutdown=int(settings.shutdown_grace_s) or 1,
-        server_header=False,
     )
     return Server(config)
 

@@ -2,47 +2,60 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from service.errors import BusyError
+from service.errors import BusyError, RateLimitedError
 
 
 class Hold:
-    """The share of one request."""
+    """The share of one request. ``tenant``: whose it is, where that is known; else it has no quota."""
 
     def __init__(self, admission: Admission) -> None:
         self._admission = admission
+        self.tenant = ""
         self.size = 0
 
     def grow(self, size: int) -> None:
-        """Hold so many bytes more. Raises ``BusyError`` where they do not fit."""
-        if self._admission.size + size > self._admission.limit:
-            raise BusyError(
-                "too many bytes of requests are waiting",
-                setting="SKYPOSE_MAX_PENDING_MB",
-                limit=self._admission.limit,
-            )
-        self._admission.size += size
+        """Hold so many bytes more. Raises as ``Admission.require_room``."""
+        self._admission.require_room(self.tenant, size)
+        self._admission.add(self.tenant, size)
         self.size += size
 
 
 class Admission:
-    """Counts the bytes held."""
+    """Counts the bytes held, and those of each tenant. ``quota`` of one tenant, 0: any."""
 
-    def __init__(self, limit: int) -> None:
-        self.limit = limit
+    def __init__(self, limit: int, quota: int = 0) -> None:
+        self._limit = limit
+        self._quota = quota
+        self._of: Counter[str] = Counter()
         self.size = 0
 
     @contextmanager
-    def hold(self, size: int = 0) -> Iterator[Hold]:
+    def hold(self) -> Iterator[Hold]:
         """Hold bytes until the block ends."""
         hold = Hold(self)
-        hold.grow(size)
         try:
             yield hold
         finally:
-            self.size -= hold.size
+            self.add(hold.tenant, -hold.size)
+
+    def require_room(self, tenant: str, size: int) -> None:
+        """Raises ``RateLimitedError`` past the tenant's quota, ``BusyError`` past the limit of all."""
+        detail = "too many bytes of requests are waiting"
+        if tenant and 0 < self._quota < self._of[tenant] + size:
+            raise RateLimitedError(detail, setting="SKYPOSE_QUOTA_PENDING_MB", limit=self._quota)
+        if self.size + size > self._limit:
+            raise BusyError(detail, setting="SKYPOSE_MAX_PENDING_MB", limit=self._limit)
+
+    def add(self, tenant: str, size: int) -> None:
+        """Count bytes, or bytes less, without asking."""
+        self.size += size
+        self._of[tenant] += size
+        if not self._of[tenant]:
+            del self._of[tenant]
 
 
 class Places:

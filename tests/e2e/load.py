@@ -1,10 +1,12 @@
-"""Load on a real server with the real tracker: fairness, overload, and a soak with clients that come, go and crash.
+"""Load on a real server, mostly with the real tracker: fairness, overload, hostile connections, a soak.
 
     python tests/e2e/load.py fair [--sessions 16] [--seconds 60]
     python tests/e2e/load.py overload [--seconds 60] [--times 4]
+    python tests/e2e/load.py hostile [--connections 1000] [--seconds 15] [--handles 1024]    # of each of seven kinds
     python tests/e2e/load.py soak [--minutes 30]            # the long form: --minutes 420
 
-Each prints its figures as JSON and ends with 1 where a goal is missed. Clients are coroutines in this process.
+Each prints its figures (as JSON, or a table) and ends with 1 where a goal is missed. Clients are coroutines in this
+process, hostile ones in another.
 """
 
 import argparse
@@ -23,9 +25,13 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[2]), str(Path(__file__).res
 
 import httpx  # noqa: E402
 import numpy as np  # noqa: E402
+from hostile import Hostile, handles, table  # noqa: E402
 from passes import PNG, Pass, box_pass  # noqa: E402
 from server_process import Server  # noqa: E402
 from soak import Soak  # noqa: E402
+from typer.testing import CliRunner  # noqa: E402
+
+from service.cli import app  # noqa: E402
 
 SMALL = {"filter": {"particles": 300}}
 FAIR_WITHIN = 0.20
@@ -146,8 +152,35 @@ def _overload_figures(alone: list[float], answers: list[tuple[int, float]], rate
     }
 
 
+def key_of(data: Path, tenant: str) -> str:
+    """A new key of a tenant."""
+    wanted = ("--role", "operate", "--tenant", tenant, "--name", "load", "--data", str(data), "--json")
+    made: dict[str, str] = json.loads(CliRunner().invoke(app, ["keys", "create", *wanted]).stdout)
+    return made["key"]
+
+
+def hostile(folder: Path, given: argparse.Namespace) -> dict[str, Any]:
+    """Hostile connections at a service that wants keys and has few handles.
+
+    Its worker answers at once, so a frame takes what the web process takes: no tracking hides a delay.
+    """
+    data = folder / "data"
+    keys = key_of(data, "good"), key_of(data, "hostile")
+    server = Server(data, "fake_worker:FakeWorker", log_level="error", auth="required")
+    with handles(given.handles):
+        server.start()
+    try:
+        return asyncio.run(Hostile(server, keys, given.seconds, given.connections).run(begin))
+    finally:
+        server.stop()
+
+
 def measure(kind: str, given: argparse.Namespace) -> dict[str, Any]:
-    """One of the three on a fresh server."""
+    """One of the four on a fresh server."""
+    if kind == "hostile":
+        with tempfile.TemporaryDirectory() as folder:
+            found = hostile(Path(folder), given)
+        return {"command": kind, **found, "load": [round(load, 1) for load in os.getloadavg()]}
     settings: dict[str, object] = {"log_level": "error"}
     if kind == "overload":
         settings["max_waiting_frames"] = QUEUE
@@ -171,16 +204,19 @@ def measure(kind: str, given: argparse.Namespace) -> dict[str, Any]:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=("fair", "overload", "soak"))
+    parser.add_argument("kind", choices=("fair", "overload", "hostile", "soak"))
     parser.add_argument("--sessions", type=int, default=16)
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seconds", type=float, help="60; hostile: 15 of each kind")
+    parser.add_argument("--connections", type=int, default=1000)
+    parser.add_argument("--handles", type=int, default=1024)
     parser.add_argument("--times", type=float, default=4.0)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
+    given.seconds = given.seconds or (15.0 if given.kind == "hostile" else 60.0)
     figures = measure(given.kind, given)
     text = json.dumps(figures, indent=1)
-    print(text)
+    print(table(figures) if given.kind == "hostile" else text)
     if given.json:
         given.json.write_text(text + "\n")
     sys.exit(0 if figures["met"] else 1)
