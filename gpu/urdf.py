@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from gpu.mesh_limits import MeshError, MeshLimits, require
 
 Matrix = NDArray[np.float64]
+LARGEST_NUMBER = 1e12  # as of coordinates
 
 
 @dataclass(frozen=True)
@@ -115,14 +116,16 @@ def origin_of(element: ElementTree.Element) -> Matrix:
 
 
 def numbers(element: ElementTree.Element, key: str, default: Sequence[float]) -> list[float]:
-    """As many finite numbers of an attribute as ``default`` has. Raises ``MeshError``."""
+    """As many numbers of an attribute as ``default`` has. Raises ``MeshError``."""
     text = element.get(key)
     try:
         values = list(default) if text is None else [float(part) for part in text.split()]
     except ValueError as error:
         raise MeshError(f"URDF: <{element.tag} {key}={text!r}> is no list of numbers") from error
-    if len(values) != len(default) or not np.all(np.isfinite(values)):
-        raise MeshError(f"URDF: <{element.tag} {key}={text!r}> must be {len(default)} finite numbers")
+    if len(values) != len(default) or not np.all(np.abs(values) <= LARGEST_NUMBER):
+        raise MeshError(
+            f"URDF: <{element.tag} {key}={text!r}> must be {len(default)} finite numbers, at most {LARGEST_NUMBER:g}"
+        )
     return values
 
 

@@ -94,7 +94,13 @@ class Settings(BaseSettings):
     max_model_vertices: Positive = 3_000_000
     """Vertices of a model, each as often as the file shows it."""
     max_model_nodes: Positive = 10_000
-    """Nodes (parts) of a model."""
+    """Nodes of a model's file."""
+    max_model_parts: Positive = 1_000
+    """Parts of a model: nodes with triangles."""
+    max_model_joints: Positive = 64
+    """Joints of a model, before any are tied."""
+    max_model_moves: Positive = 20_000
+    """Parts that the joints of a model move, each as often as a stage of a joint moves it."""
     max_model_depth: Positive = 64
     """Levels of nodes below each other in a GLB."""
     max_model_json_mb: Positive = 16

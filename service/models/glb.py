@@ -25,7 +25,7 @@ class Node:
     name: str
     depth: int  # 0 for a root
     world: NDArray[np.float64]  # (4, 4) node -> file coordinates, at rest
-    subtree: tuple[str, ...]  # names of this node and all its descendants
+    subtree: frozenset[str]  # names of this node and all its descendants
     extensions: Mapping[str, Any]
 
 
@@ -51,7 +51,7 @@ def read_scene_tree(data: bytes) -> SceneTree:
         if not 0 <= i < len(entries) or nodes[i] is not None:
             raise MeshFileError("the nodes of the file form no tree")
         world = parent @ local_matrix(entries[i])
-        subtree = tuple(names[k] for k in _descendants(children, i))
+        subtree = frozenset(names[k] for k in _descendants(children, i))
         nodes[i] = Node(names[i], depth, world, subtree, entries[i].get("extensions") or {})
         pending.extend((child, depth + 1, world) for child in children[i])
     if None in nodes:
@@ -101,12 +101,13 @@ def _unique_names(entries: list[Mapping[str, Any]]) -> list[str]:
     return list(seen)
 
 
-def _descendants(children: list[tuple[int, ...]], root: int) -> list[int]:
-    found, pending = [], [root]
+def _descendants(children: list[tuple[int, ...]], root: int) -> set[int]:
+    found: set[int] = set()
+    pending = [root]
     while pending:
         i = pending.pop()
         if i in found or not 0 <= i < len(children):
             raise MeshFileError("the nodes of the file form no tree")
-        found.append(i)
+        found.add(i)
         pending.extend(children[i])
     return found
