@@ -58,7 +58,7 @@ class Settings(BaseSettings):
     """Whether several tracking processes share a device, which scores what they ask at one time in one launch: `auto`
     where there is a GPU, `on` anywhere."""
     worker_timeout_s: PositiveSeconds = 120.0
-    """A worker that does not answer a job for so long is ended and started anew."""
+    """A worker that does not answer a job for so long is ended and started anew. The job is not tried again."""
     worker_start_timeout_s: PositiveSeconds = 120.0
     """How long a new worker may take until it is ready."""
 
