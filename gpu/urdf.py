@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gpu.mesh_limits import MeshError, MeshLimits, require
+from gpu.xml_document import read_xml
 
 Matrix = NDArray[np.float64]
 LARGEST_NUMBER = 1e12  # as of coordinates
@@ -53,12 +54,7 @@ class UrdfRobot:
 def read_urdf(document: bytes, limits: MeshLimits) -> UrdfRobot:
     """Links and joints, placed with every joint at 0 (one that mimics another at its offset). Raises ``MeshError``."""
     require(limits, json_bytes=len(document))
-    if b"<!DOCTYPE" in document or b"<!ENTITY" in document:
-        raise MeshError("URDF: document types and entities are not read")
-    try:
-        root = ElementTree.fromstring(document)
-    except ElementTree.ParseError as error:
-        raise MeshError(f"URDF: {error}") from error
+    root = read_xml(document, "URDF")
     if root.tag != "robot":
         raise MeshError(f"URDF: the root element is <{root.tag}>, not <robot>")
     listed = [name_of(link, "link") for link in root.findall("link")]
