@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 from typing import Any, TypeVar
 
 import orjson
@@ -12,17 +11,24 @@ from pydantic import BaseModel, ValidationError
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.access.peers import FORWARDED
+from service.access.peers import BODY_SHA256, FORWARDED
 from service.access.principal import Principal
 from service.api.auth import PRINCIPAL
+from service.api.digest import sha256
 from service.api.problems import problem_response
 from service.api.services import Services, services_of
-from service.errors import ConfigError, InputError, SkyposeError, TooLargeError, UnsupportedMediaTypeError
+from service.errors import (
+    ConfigError,
+    InputError,
+    SkyposeError,
+    TooLargeError,
+    UnauthorizedError,
+    UnsupportedMediaTypeError,
+)
 from service.settings import MEBIBYTE, Settings
 
 M = TypeVar("M", bound=BaseModel)
 _JSON_LIMIT = "SKYPOSE_MAX_JSON_KB"
-HASH_IN_LOOP_BYTES = 1 << 16
 DRAIN_FACTOR = 4
 DRAIN_S = 10.0
 
@@ -114,13 +120,18 @@ async def _drain(receive: Receive, most: int) -> None:
 
 
 async def read_body(request: Request) -> tuple[bytes, str]:
-    """The raw body and its SHA-256. Raises ``InputError`` for an empty one."""
+    """The raw body and its SHA-256.
+
+    Raises ``InputError`` for an empty one, ``UnauthorizedError`` for one that is not what the peer signed which hands
+    the call on.
+    """
     body = await request.body()
     if not body:
         raise InputError("the body is empty", field="body")
-    if len(body) <= HASH_IN_LOOP_BYTES:
-        return body, hashlib.sha256(body).hexdigest()
-    return body, (await asyncio.to_thread(hashlib.sha256, body)).hexdigest()
+    found = await sha256(body)
+    if request.scope.get("state", {}).get(BODY_SHA256, found) != found:
+        raise UnauthorizedError("no process of this cluster signed this body", field="body")
+    return body, found
 
 
 def media_type(request: Request) -> str:
