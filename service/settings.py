@@ -95,7 +95,7 @@ class Settings(BaseSettings):
     """Vertices of a model, each as often as the file shows it."""
     max_model_nodes: Positive = 10_000
     """Nodes of a model's file."""
-    max_model_parts: Positive = 1_000
+    max_model_parts: Positive = 512
     """Parts of a model: nodes with triangles."""
     max_model_joints: Positive = 64
     """Joints of a model, before any are tied."""
