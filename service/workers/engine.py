@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 from service.errors import MissingBlobError, TooLargeError, WorkerFailedError
@@ -137,8 +138,7 @@ class Engine:
         return description
 
     async def _beside(self, tenant: str, method: str, job: object) -> Any:
-        async with self._turns.of(tenant):
-            return await self.transport.call(None, method, job)
+        return await self._turns.run(tenant, partial(self.transport.call, None, method, job))
 
 
 async def _with_blobs(run: Callable[[Mapping[str, bytes]], Awaitable[R]], blobs: BlobSource) -> R:

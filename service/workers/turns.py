@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+R = TypeVar("R")
 
 MOST_DEBT_S = 60.0  # what was had long ago is forgiven
 KEPT = 1000  # tenants whose work is remembered
@@ -27,17 +29,22 @@ class Turns:
         self._ends: dict[str, float] = {}
         self._waiting: dict[str, deque[asyncio.Future[None]]] = {}
 
-    @asynccontextmanager
-    async def of(self, tenant: str) -> AsyncIterator[None]:
-        """Wait for a turn, hold it until the block ends."""
+    async def run(self, tenant: str, job: Callable[[], Awaitable[R]]) -> R:
+        """What the job gives, begun when it is the tenant's turn.
+
+        Whoever stops waiting for a job that has begun does not stop it: it keeps its turn until it is over.
+        """
         if self._taken < self._places() and not self._waiting:
             self._taken += 1
         else:
             await self._wait(tenant)
+        return await asyncio.shield(asyncio.create_task(self._have_turn(tenant, job)))
+
+    async def _have_turn(self, tenant: str, job: Callable[[], Awaitable[R]]) -> R:
         began = self._begin(tenant)
         started = time.monotonic()
         try:
-            yield
+            return await job()
         finally:
             end = max(self._ends.pop(tenant, 0.0), began) + time.monotonic() - started
             self._ends[tenant] = min(end, self._now + MOST_DEBT_S)

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from functools import partial
 
 import pytest
 
@@ -28,14 +29,13 @@ async def test_who_asks_for_much_is_passed_by_who_asks_for_little(monkeypatch):
     clock, turns, order = Clock(monkeypatch), Turns(lambda: 1), []
     all_wait = asyncio.Event()
 
-    async def work(tenant: str, name: str, seconds: float) -> None:
-        async with turns.of(tenant):
-            order.append(name)
-            await all_wait.wait()
-            clock.now += seconds
+    async def work(name: str, seconds: float) -> None:
+        order.append(name)
+        await all_wait.wait()
+        clock.now += seconds
 
-    jobs = [asyncio.create_task(work("greedy", f"g{n}", 100.0)) for n in range(4)]
-    jobs += [asyncio.create_task(work("modest", f"m{n}", 1.0)) for n in range(3)]
+    jobs = [asyncio.create_task(turns.run("greedy", partial(work, f"g{n}", 100.0))) for n in range(4)]
+    jobs += [asyncio.create_task(turns.run("modest", partial(work, f"m{n}", 1.0))) for n in range(3)]
     await _settled()
     all_wait.set()
     await asyncio.gather(*jobs)
@@ -47,19 +47,16 @@ async def test_what_was_had_counts_though_the_next_is_asked_for_later(monkeypatc
     order: list[str] = []
     go = asyncio.Event()
 
-    async def work(tenant: str) -> None:
-        async with turns.of(tenant):
-            order.append(tenant)
-
     async def long() -> None:
-        async with turns.of("third"):
-            await go.wait()
-
-    async with turns.of("greedy"):
         clock.now += 100.0
-    held = asyncio.create_task(long())
+
+    async def work(name: str) -> None:
+        order.append(name)
+
+    await turns.run("greedy", long)
+    held = asyncio.create_task(turns.run("third", go.wait))
     await _settled()
-    jobs = [asyncio.create_task(work(name)) for name in ("greedy", "modest")]
+    jobs = [asyncio.create_task(turns.run(name, partial(work, name))) for name in ("greedy", "modest")]
     await _settled()
     go.set()
     await asyncio.gather(held, *jobs)
@@ -71,59 +68,72 @@ async def test_who_leaves_while_waiting_holds_nobody_up():
     done: list[str] = []
 
     async def work(name: str) -> None:
-        async with turns.of(name):
-            done.append(name)
+        done.append(name)
 
-    async def first() -> None:
-        async with turns.of("first"):
+    for given in (False, True):  # the second time its turn has come, and it leaves before it takes it
+        go.clear()
+        holder = asyncio.create_task(turns.run("first", go.wait))
+        await _settled()
+        leaver, stayer = (asyncio.create_task(turns.run(n, partial(work, n))) for n in ("leaver", "stayer"))
+        await _settled()
+        if not given:
+            leaver.cancel()
+        go.set()
+        while given and not turns_given(turns, "leaver"):
+            await asyncio.sleep(0)
+        leaver.cancel()
+        await asyncio.gather(holder, stayer)
+    await turns.run("last", partial(work, "last"))
+    assert done == ["stayer", "stayer", "last"]
+
+
+def turns_given(turns: Turns, name: str) -> bool:
+    return name not in turns._waiting
+
+
+async def test_who_leaves_during_the_work_keeps_the_turn_until_it_is_over():
+    turns, go, order = Turns(lambda: 1), asyncio.Event(), []
+
+    async def work(name: str) -> None:
+        if name == "leaver":
             await go.wait()
+        order.append(name)
 
-    holder = asyncio.create_task(first())
+    leaver = asyncio.create_task(turns.run("leaver", partial(work, "leaver")))
     await _settled()
-    leaver, stayer = asyncio.create_task(work("leaver")), asyncio.create_task(work("stayer"))
-    await _settled()
+    other = asyncio.create_task(turns.run("other", partial(work, "other")))
     leaver.cancel()
-    go.set()
-    await asyncio.gather(holder, stayer)
-    assert done == ["stayer"]
-    # One that was given its turn and left before it took it passes it on.
-    go.clear()
-    holder = asyncio.create_task(first())
     await _settled()
-    leaver, stayer = asyncio.create_task(work("leaver")), asyncio.create_task(work("stayer"))
-    await _settled()
+    assert (order, leaver.cancelled()) == ([], True)
     go.set()
-    await asyncio.sleep(0)
-    leaver.cancel()
-    await asyncio.gather(holder, stayer)
-    async with asyncio.timeout(5), turns.of("last"):
-        done.append("last")
-    assert done[-2:] == ["stayer", "last"]
+    await other
+    assert order == ["leaver", "other"]
 
 
 async def test_places_are_kept_and_nothing_is_remembered_of_the_idle():
     turns, most, now = Turns(lambda: 2), 0, 0
 
-    async def work(k: int) -> None:
+    async def work() -> None:
         nonlocal most, now
-        async with turns.of(f"t{k % 3}"):
-            now += 1
-            most = max(most, now)
-            await asyncio.sleep(0)
-            now -= 1
+        now += 1
+        most = max(most, now)
+        await asyncio.sleep(0)
+        now -= 1
 
-    await asyncio.gather(*(work(k) for k in range(12)))
+    await asyncio.gather(*(turns.run(f"t{k % 3}", work) for k in range(12)))
     assert (most, now, turns._waiting, turns._taken) == (2, 0, {}, 0)
     for k in range(KEPT + 50):
-        async with turns.of(f"once{k}"):
-            pass
+        await turns.run(f"once{k}", work)
     assert len(turns._ends) == KEPT
 
 
 async def test_who_had_much_long_ago_is_not_last_for_ever(monkeypatch):
     clock, turns = Clock(monkeypatch), Turns(lambda: 1)
-    async with turns.of("greedy"):
+
+    async def work() -> None:
         clock.now += 1e6
+
+    await turns.run("greedy", work)
     assert turns._ends["greedy"] == MOST_DEBT_S
 
 
