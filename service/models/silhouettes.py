@@ -23,7 +23,7 @@ _SHIFT_BITS = 4  # OpenCV's fixed point: sixteenths of a pixel
 _SURELY_SMALL_PX = 0.93  # a face with no longer edge is small however it is rounded to sixteenths
 
 # What drawing takes at most, in nanoseconds of a slow core. Nine spacecraft took at most 4e9 (the ISS, 14 joints).
-MOST_WORK = 2e10
+MOST_WORK = 1e10
 _WORK_OF_MASK, _WORK_OF_PART, _WORK_OF_POINT, _WORK_OF_FACE = 1e6, 1e4, 50, 2e3
 
 
