@@ -40,6 +40,13 @@ class SceneTree:
 def read_scene_tree(data: bytes) -> SceneTree:
     """Parse a GLB's JSON chunk (glTF 2.0, sections 3.5 and 4.4). Raises ``MeshFileError``."""
     document = _json_chunk(data)
+    try:
+        return _tree(document)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # of a value of another kind
+        raise MeshFileError(f"the node tree of the GLB file cannot be read: {error}") from error
+
+
+def _tree(document: Mapping[str, Any]) -> SceneTree:
     entries = document.get("nodes", [])
     names = _unique_names(entries)
     children = [tuple(entry.get("children", ())) for entry in entries]
@@ -52,11 +59,16 @@ def read_scene_tree(data: bytes) -> SceneTree:
             raise MeshFileError("the nodes of the file form no tree")
         world = parent @ local_matrix(entries[i])
         subtree = frozenset(names[k] for k in _descendants(children, i))
-        nodes[i] = Node(names[i], depth, world, subtree, entries[i].get("extensions") or {})
+        nodes[i] = Node(names[i], depth, world, subtree, _extensions(entries[i]))
         pending.extend((child, depth + 1, world) for child in children[i])
     if None in nodes:
         raise MeshFileError("the nodes of the file form a cycle")
-    return SceneTree(tuple(node for node in nodes if node is not None), document.get("extensions") or {})
+    return SceneTree(tuple(node for node in nodes if node is not None), _extensions(document))
+
+
+def _extensions(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+    found = entry.get("extensions")
+    return found if isinstance(found, Mapping) else {}
 
 
 def local_matrix(entry: Mapping[str, Any]) -> NDArray[np.float64]:

@@ -145,6 +145,30 @@ def test_a_part_of_an_endless_name_is_refused():
         InPlace().parts(write_glb("r", [SolidNode("n" * 256, BRICK)]), "glb")
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("rotation", "all"), ("rotation", [0, 0, 1]), ("matrix", [1, 2]), ("translation", {}), ("scale", "x")],
+)
+def test_a_node_whose_place_is_no_transform_is_the_files_fault(field, value):
+    data = glb(1, 1)
+    length = int.from_bytes(data[12:16], "little")
+    tree = json.loads(data[20 : 20 + length])
+    tree["nodes"][0][field] = value
+    with pytest.raises(MeshFileError, match="node tree"):
+        report_model(ModelJob(_container(tree, b""), "glb"), mesh_of("n0"), SMALL)
+
+
+@pytest.mark.parametrize("value", ["x", [], 7])
+def test_extensions_of_another_kind_are_none(value):
+    data = glb(1, 1)
+    length = int.from_bytes(data[12:16], "little")
+    tree = json.loads(data[20 : 20 + length])
+    tree["nodes"][0]["extensions"] = value
+    assert report_model(ModelJob(_container(tree, b""), "glb"), mesh_of("n0"), SMALL).articulation.n_joints == 1
+    tree["extensions"] = value
+    assert report_model(ModelJob(_container(tree, b""), "glb"), mesh_of("n0"), SMALL).articulation.n_joints == 0
+
+
 def test_one_kind_of_warning_does_not_fill_the_answer():
     mesh = dataclasses.replace(mesh_of("a"), warnings=tuple(f"warning {k}" for k in range(500)))
     told = report_model(ModelJob(b"", "obj"), mesh, SMALL).warnings
