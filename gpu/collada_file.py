@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpu.mesh_limits import MeshError, MeshLimits, require
+from gpu.xml_document import read_xml
 
 _SPACE = "{http://www.collada.org/2005/11/COLLADASchema}"
 _LIBRARIES = ("asset", "library_geometries", "library_nodes", "library_visual_scenes", "scene")
@@ -30,12 +31,7 @@ def read_collada(data: bytes, limits: MeshLimits) -> list[Triangles]:
 
     Raises ``MeshError``, or ``MeshLimitError`` for what is past ``limits``: an instance counts each time it stands.
     """
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise MeshError("COLLADA: document types and entities are not read")
-    try:
-        root = ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
-        raise MeshError(f"COLLADA: {error}") from error
+    root = read_xml(data, "COLLADA")
     if root.tag != f"{_SPACE}COLLADA":
         raise MeshError("COLLADA: the root element is not <COLLADA> of version 1.4")
     require(limits, nodes=sum(1 for _ in root.iter(f"{_SPACE}node")))

@@ -112,7 +112,9 @@ def _bad_counts(tree: Mapping[str, Any], limits: MeshLimits) -> str | None:
             vertices, indices = vertices + counts[position], indices + counts[index]
         sizes.append((vertices, indices))
     shown = [node["mesh"] for node in _entries(tree, "nodes") if _is_index(node.get("mesh"), sizes)]
-    require(limits, vertices=sum(sizes[k][0] for k in shown), faces=sum(sizes[k][1] for k in shown) // 3)
+    require(
+        limits, parts=len(shown), vertices=sum(sizes[k][0] for k in shown), faces=sum(sizes[k][1] for k in shown) // 3
+    )
     return None
 
 

@@ -21,6 +21,7 @@ from gpu.urdf_shapes import link_triangles
 
 FILE_TYPES = ("glb", "obj", "stl", "ply", "urdf")
 LARGEST_COORDINATE = 1e12
+LONGEST_NAME = 255  # characters of a part's name: answers and warnings repeat it
 DEFAULT_LIMITS = MeshLimits()
 _PLY_ELEMENTS = re.compile(rb"^\s*element\s+(vertex|face)\s+(\d{1,18})\s*$", re.M)
 _OBJECT = re.compile(rb"^o[ \t]+(.*?)[ \t\r]*$", re.M)
@@ -57,7 +58,7 @@ def read_parts(data: bytes, file_type: str, limits: MeshLimits = DEFAULT_LIMITS)
         pieces.sort(key=lambda piece: order.get(piece[0], 0))
     require(
         limits,
-        nodes=len(pieces),
+        parts=len(pieces),
         vertices=sum(len(vertices) for _, vertices, _ in pieces),
         faces=sum(len(faces) for _, _, faces in pieces),
     )
@@ -80,7 +81,9 @@ def _urdf_parts(data: bytes, limits: MeshLimits) -> list[RawPart]:
 
     links = link_triangles(read_urdf(document, limits), meshes, read_mesh, limits)
     parts = [_checked(name, *_joined(pieces)) for name, pieces in links]
-    require(limits, vertices=sum(len(p.vertices) for p in parts), faces=sum(len(p.faces) for p in parts))
+    require(
+        limits, parts=len(parts), vertices=sum(len(p.vertices) for p in parts), faces=sum(len(p.faces) for p in parts)
+    )
     if not any(len(part.faces) for part in parts):
         raise MeshError("the file has no faces")
     return parts
@@ -137,9 +140,13 @@ def _joined(
 
 
 def _checked(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> RawPart:
+    if len(name) > LONGEST_NAME:
+        raise MeshError(f"part {name[:LONGEST_NAME]!r}...: its name is longer than {LONGEST_NAME} characters")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
         raise MeshError(f"part {name!r}: a face names vertex {faces.max()} of {len(vertices)}")
-    used = vertices[np.unique(faces)]
+    shown = np.zeros(len(vertices), dtype=bool)
+    shown[faces] = True
+    used = vertices[shown]
     if not np.isfinite(used).all():
         raise MeshError(f"part {name!r}: a vertex is NaN or infinite")
     if len(used) and np.abs(used).max() > LARGEST_COORDINATE:

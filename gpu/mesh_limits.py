@@ -12,6 +12,9 @@ class MeshLimits:
     faces: int = 1_000_000
     vertices: int = 3_000_000
     nodes: int = 10_000
+    parts: int = 512  # nodes that carry triangles: every particle has a transform for each
+    joints: int = 64
+    moves: int = 20_000  # parts that joints move, each as often as a stage of a joint moves it
     depth: int = 64  # levels of nodes below each other
     json_bytes: int = 1 << 24  # of a GLB's JSON chunk
 

@@ -21,16 +21,35 @@ def repair(
     vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], RepairCounts]:
     """(V, 3), (F, 3) -> the vertices in use (identical ones merged), the faces with an area, each once."""
-    used, flat = np.unique(faces, return_inverse=True)
-    vertices, faces = vertices[used] + 0.0, flat.reshape(-1, 3)  # + 0.0: -0.0 and 0.0 are one coordinate
-    unique, inverse = np.unique(vertices, axis=0, return_inverse=True)
-    faces = inverse.reshape(-1)[faces]
+    used, faces = _in_use(faces, len(vertices))
+    vertices = vertices[used] + 0.0  # -0.0 and 0.0 are one coordinate
+    first, number = _distinct(vertices)
+    unique, faces = vertices[first], number[faces]
     solid = faces[_has_area(unique, faces)]
-    _, first = np.unique(np.sort(solid, axis=1), axis=0, return_index=True)
-    kept = solid[np.sort(first)]
-    still_used, flat = np.unique(kept, return_inverse=True)
+    kept = solid[np.sort(_distinct(np.sort(solid, axis=1))[0])]
+    still_used, kept = _in_use(kept, len(unique))
     counts = RepairCounts(len(vertices) - len(unique), len(faces) - len(solid), len(solid) - len(kept))
-    return unique[still_used], flat.reshape(-1, 3).astype(np.int32), counts
+    return unique[still_used], kept.astype(np.int32), counts
+
+
+def _in_use(faces: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which of ``count`` vertices the faces use, in order, and the faces by their places among those."""
+    used = np.zeros(count, dtype=bool)
+    used[faces] = True
+    return np.flatnonzero(used), (np.cumsum(used) - 1)[faces]
+
+
+def _distinct(rows: NDArray[np.generic]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Of (N, K) rows in ascending order the first of each kind, and (N,) of which kind each is.
+
+    As ``np.unique`` of rows, but sorted by columns: that takes a tenth of the time.
+    """
+    order = np.lexsort(rows.T[::-1])
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = np.any(rows[order[1:]] != rows[order[:-1]], axis=1)
+    number = np.empty(len(rows), dtype=np.int64)
+    number[order] = np.cumsum(new) - 1
+    return order[new], number
 
 
 def _has_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -48,9 +67,9 @@ def is_watertight(faces: NDArray[np.int32]) -> bool:
     if len(forward) == 0:
         return False
     n = int(faces.max()) + 1
-    keys, counts = np.unique(forward[:, 0] * n + forward[:, 1], return_counts=True)
-    reverse = np.unique(forward[:, 1] * n + forward[:, 0])
-    return bool((counts == 1).all() and np.array_equal(keys, reverse))
+    along = np.sort(forward[:, 0] * n + forward[:, 1])
+    against = np.sort(forward[:, 1] * n + forward[:, 0])
+    return bool((along[1:] != along[:-1]).all() and np.array_equal(along, against))
 
 
 def describe_repair(name: str, counts: RepairCounts) -> list[str]:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.mesh import Mesh
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
-from gpu.shaded_faces import LANES, FaceTable, face_table
+from gpu.shaded_faces import LANES, FaceTable, Indices, face_table
 from gpu.shaded_reference import BIAS_TEXELS, STEEPEST
-from gpu.shaded_views import SIDE, views_of_parts
+from gpu.shaded_views import SIDE, views_of_part
 
 Numbers = NDArray[np.float32]
 EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
@@ -53,18 +53,25 @@ class ShadedBody:
         """Bring the faces to the device."""
         self._table = table
         with device_errors(self.name):
-            arrays = (table.corners, table.starts, table.groups, table.shut, table.boxes)
-            self._body: tuple[KernelArgument, ...] = (
-                *(constant(self._context, array) for array in arrays),
-                *(np.int32(v) for v in (self._n_parts, table.n_padded, table.bits)),
-                self._radius,
-            )
+            self._faces = [constant(self._context, array) for array in (table.corners, table.groups, table.shut)]
+            self._show(table.starts, table.boxes)
+
+    def _show(self, starts: Indices, boxes: Numbers) -> None:
+        """Draw these parts of the faces on the device."""
+        corners, groups, shut = self._faces
+        self._body: tuple[KernelArgument, ...] = (
+            *(corners, constant(self._context, starts), groups, shut, constant(self._context, boxes)),
+            *(np.int32(v) for v in (len(boxes), self._table.n_padded, self._table.bits)),
+            self._radius,
+        )
 
     def _seen(self, mesh: Mesh) -> NDArray[np.bool_]:
         """(F,) whether a face is seen from anywhere outside its part, when the part is alone."""
-        given = self._given(views_of_parts(mesh), np.array([0.0, 0.0, -1.0]))
-        marks = np.zeros(self._table.n_padded, np.uint8)
-        self._launch(self._mark_seen, given[:1], marks, (SIDE, 1, 0), None, ())
+        table, marks = self._table, np.zeros(self._table.n_padded, np.uint8)
+        for number, part in enumerate(mesh.parts):
+            with device_errors(self.name):
+                self._show(table.starts[number : number + 2], table.boxes[number : number + 1])
+            self._launch(self._mark_seen, (views_of_part(part),), marks, (SIDE, 1, 0), None, ())
         seen = np.zeros(mesh.n_faces, dtype=bool)
         seen[self._table.origin[marks > 0]] = True
         return seen

@@ -6,26 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gpu.mesh import Mesh
+from gpu.mesh import Part
 
 VIEWS = 128  # of each part
 SIDE = 192  # samples across a part
 _GOLDEN = np.pi * (3.0 - 5.0**0.5)
 
 
-def views_of_parts(mesh: Mesh) -> NDArray[np.float32]:
-    """(P * VIEWS, P, 3, 4) transforms: each part alone in ``SIDE`` pixels, the others shrunk to nothing."""
-    n_parts = len(mesh.parts)
-    out = np.zeros((n_parts, VIEWS, n_parts, 3, 4), np.float32)
-    turns = _directions()
-    for number, part in enumerate(mesh.parts):
-        low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
-        middle = 0.5 * (low + high)
-        radius = float(np.linalg.norm(part.vertices - middle, axis=1).max())
-        placed = (0.5 * SIDE / max(radius, 1e-300)) * turns
-        out[number, :, number, :, :3] = placed
-        out[number, :, number, :, 3] = np.array([0.5 * SIDE, 0.5 * SIDE, 0.0]) - placed @ middle
-    return out.reshape(n_parts * VIEWS, n_parts, 3, 4)
+def views_of_part(part: Part) -> NDArray[np.float32]:
+    """(VIEWS, 1, 3, 4) transforms: the part in ``SIDE`` pixels."""
+    low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
+    middle = 0.5 * (low + high)
+    radius = float(np.linalg.norm(part.vertices - middle, axis=1).max())
+    placed = (0.5 * SIDE / max(radius, 1e-300)) * _directions()
+    out = np.empty((VIEWS, 1, 3, 4), np.float32)
+    out[:, 0, :, :3] = placed
+    out[:, 0, :, 3] = np.array([0.5 * SIDE, 0.5 * SIDE, 0.0]) - placed @ middle
+    return out
 
 
 def _directions() -> NDArray[np.float64]:

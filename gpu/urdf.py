@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gpu.mesh_limits import MeshError, MeshLimits, require
+from gpu.xml_document import read_xml
 
 Matrix = NDArray[np.float64]
+LARGEST_NUMBER = 1e12  # as of coordinates
 
 
 @dataclass(frozen=True)
@@ -52,12 +54,7 @@ class UrdfRobot:
 def read_urdf(document: bytes, limits: MeshLimits) -> UrdfRobot:
     """Links and joints, placed with every joint at 0 (one that mimics another at its offset). Raises ``MeshError``."""
     require(limits, json_bytes=len(document))
-    if b"<!DOCTYPE" in document or b"<!ENTITY" in document:
-        raise MeshError("URDF: document types and entities are not read")
-    try:
-        root = ElementTree.fromstring(document)
-    except ElementTree.ParseError as error:
-        raise MeshError(f"URDF: {error}") from error
+    root = read_xml(document, "URDF")
     if root.tag != "robot":
         raise MeshError(f"URDF: the root element is <{root.tag}>, not <robot>")
     listed = [name_of(link, "link") for link in root.findall("link")]
@@ -115,14 +112,16 @@ def origin_of(element: ElementTree.Element) -> Matrix:
 
 
 def numbers(element: ElementTree.Element, key: str, default: Sequence[float]) -> list[float]:
-    """As many finite numbers of an attribute as ``default`` has. Raises ``MeshError``."""
+    """As many numbers of an attribute as ``default`` has. Raises ``MeshError``."""
     text = element.get(key)
     try:
         values = list(default) if text is None else [float(part) for part in text.split()]
     except ValueError as error:
         raise MeshError(f"URDF: <{element.tag} {key}={text!r}> is no list of numbers") from error
-    if len(values) != len(default) or not np.all(np.isfinite(values)):
-        raise MeshError(f"URDF: <{element.tag} {key}={text!r}> must be {len(default)} finite numbers")
+    if len(values) != len(default) or not np.all(np.abs(values) <= LARGEST_NUMBER):
+        raise MeshError(
+            f"URDF: <{element.tag} {key}={text!r}> must be {len(default)} finite numbers, at most {LARGEST_NUMBER:g}"
+        )
     return values
 
 

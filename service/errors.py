@@ -30,7 +30,7 @@
     │   ├── RateLimitedError              429  this key did too much in too short a time
     │   ├── QuotaExceededError            429  this tenant has as much as it may have
     │   ├── IdentityProviderError         503  the identity provider's keys cannot be had
-    │   ├── WorkerFailedError             503  the worker died or hung, also on the second try
+    │   ├── WorkerFailedError             503  the worker died twice, or did not answer in time
     │   ├── ScorerFailedError             503  the scorer's device failed during a frame
     │   ├── StorageError                  503  the database refused a write (disk full, I/O error)
     │   ├── StaleOwnerError               503  another owner has taken the session
@@ -236,7 +236,7 @@ class IdentityProviderError(BusyError):
 
 
 class WorkerFailedError(BusyError):
-    """The worker died or hung, also on the second try."""
+    """The worker died, also on the second try, or did not answer in time (`limit`, `setting`)."""
 
     slug, title = "worker-failed", "Worker failed"
 

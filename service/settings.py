@@ -58,7 +58,7 @@ class Settings(BaseSettings):
     """Whether several tracking processes share a device, which scores what they ask at one time in one launch: `auto`
     where there is a GPU, `on` anywhere."""
     worker_timeout_s: PositiveSeconds = 120.0
-    """A worker that does not answer a job for so long is ended and started anew."""
+    """A worker that does not answer a job for so long is ended and started anew. The job is not tried again."""
     worker_start_timeout_s: PositiveSeconds = 120.0
     """How long a new worker may take until it is ready."""
 
@@ -96,7 +96,13 @@ class Settings(BaseSettings):
     max_model_vertices: Positive = 3_000_000
     """Vertices of a model, each as often as the file shows it."""
     max_model_nodes: Positive = 10_000
-    """Nodes (parts) of a model."""
+    """Nodes of a model's file."""
+    max_model_parts: Positive = 512
+    """Parts of a model: nodes with triangles."""
+    max_model_joints: Positive = 64
+    """Joints of a model, before any are tied."""
+    max_model_moves: Positive = 20_000
+    """Parts that the joints of a model move, each as often as a stage of a joint moves it."""
     max_model_depth: Positive = 64
     """Levels of nodes below each other in a GLB."""
     max_model_json_mb: Positive = 16

@@ -45,7 +45,7 @@ PACKAGES: dict[str, set[str]] = {
     "service.imaging": {"numpy", "scipy", "cv2", "astropy"},
     "service.attitude": {"numpy", "astropy_iers_data", "erfa", "sgp4"},
     "service.exports": {"numpy"},
-    "gpu": {"numpy", "scipy", "pyopencl", "moderngl", "trimesh", "collada", "fast_simplification"},
+    "gpu": {"numpy", "scipy", "pyopencl", "moderngl", "trimesh", "collada", "fast_simplification", "defusedxml"},
     "service.errors": set(),
 }
 

@@ -101,7 +101,7 @@ class Oidc:
                 leeway=LEEWAY_S,
                 options={"require": ["exp", "iss", "aud", "sub"]},
             )
-        except jwt.PyJWTError as error:
+        except (jwt.PyJWTError, TypeError) as error:  # TypeError: of an issuer that is no text
             raise UnauthorizedError(f"the token is not good: {error}", field="header:Authorization") from error
         return claims
 

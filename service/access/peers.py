@@ -1,11 +1,14 @@
 """How processes on one database know each other: calls that one hands on to another are signed.
 
 The secret lies in the database they share, made by the first of them. Who calls was decided where the call came in; the
-signature carries that to the owner of the session, for this one call, for a minute.
+signature carries that to the owner of the session, for this one call with this body, once, within a minute.
 """
 
 from __future__ import annotations
 
+import secrets
+import time
+from collections import OrderedDict
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
@@ -19,6 +22,7 @@ from service.store.database import Database
 log = structlog.get_logger(__name__)
 HEADER = "x-skypose-peer"
 FORWARDED = "forwarded"  # in a call's state: a peer handed it on
+BODY_SHA256 = "body_sha256"  # there too: what that peer signed
 _ALGORITHM = "HS256"
 _GOOD_FOR = timedelta(seconds=60)
 _SKEW = timedelta(seconds=30)
@@ -31,27 +35,31 @@ class Peers:
         self._database = database
         self._me = me
         self._secret = ""
+        self._used: OrderedDict[str, float] = OrderedDict()  # nonce -> until when it is remembered, in this order
 
     async def open(self) -> None:
         """Learn the secret. Before that, nobody is believed."""
         self._secret = await self._database.write(instances.secret)
 
-    def sign(self, caller: Principal, to: str, method: str, target: str) -> str:
-        """What the process ``to`` takes as: this call (``target`` is path and query) is ``caller``'s."""
+    def sign(self, caller: Principal, to: str, method: str, target: str, body_sha256: str) -> str:
+        """What the process ``to`` takes as: this call (``target`` is path and query) is ``caller``'s. Good once."""
         import jwt  # a tenth of a second of every start, needed only in a cluster
 
         claims = {
             "aud": to,
             "exp": datetime.now(UTC) + _GOOD_FOR,
-            "call": [method, target],
+            "jti": secrets.token_urlsafe(16),
+            "call": [method, target, body_sha256],
             "caller": [caller.tenant, caller.key_id, caller.role.value],
             "rates": asdict(caller.rates),
             "until": "" if caller.expires is None else caller.expires.isoformat(),
         }
         return jwt.encode(claims, self._secret, _ALGORITHM)
 
-    def verify(self, token: str, method: str, target: str) -> Principal:
-        """Who calls. Raises ``UnauthorizedError`` for what no peer signed, or for another call.
+    def verify(self, token: str, method: str, target: str) -> tuple[Principal, str]:
+        """Who calls, and the SHA-256 that the body must have.
+
+        Raises ``UnauthorizedError`` for what no peer signed, for another call, and for what was shown before.
 
         ``StaleOwnerError`` for what was meant for another process: one that had this address before.
         """
@@ -66,9 +74,10 @@ class Peers:
                 [_ALGORITHM],
                 audience=self._me,
                 leeway=_SKEW,
-                options={"require": ["aud", "exp", "call", "caller", "rates", "until"]},
+                options={"require": ["aud", "exp", "jti", "call", "caller", "rates", "until"]},
             )
-            if claims["call"] != [method, target]:
+            *signed, body_sha256 = claims["call"]
+            if signed != [method, target] or not self._is_first(claims["jti"]):
                 raise jwt.InvalidTokenError
         except jwt.InvalidAudienceError as error:
             raise StaleOwnerError("the process that this call was meant for has gone") from error
@@ -77,4 +86,14 @@ class Peers:
             raise UnauthorizedError("no process of this cluster signed this call", field=f"header:{HEADER}") from error
         tenant, key_id, role = claims["caller"]
         until = datetime.fromisoformat(claims["until"]) if claims["until"] else None
-        return Principal(tenant, key_id, Role(role), until, KeyRates(**claims["rates"]))
+        return Principal(tenant, key_id, Role(role), until, KeyRates(**claims["rates"])), body_sha256
+
+    def _is_first(self, nonce: str) -> bool:
+        """Whether a nonce was not shown before; remembered for as long as its signature could be good."""
+        now = time.monotonic()
+        while self._used and next(iter(self._used.values())) < now:
+            self._used.popitem(last=False)
+        if nonce in self._used:
+            return False
+        self._used[nonce] = now + (_GOOD_FOR + 2 * _SKEW).total_seconds()
+        return True

@@ -14,7 +14,7 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from service.access.gate import Shown
-from service.access.peers import FORWARDED, HEADER
+from service.access.peers import BODY_SHA256, FORWARDED, HEADER
 from service.access.principal import ModelKey, Principal, Role, SessionKey
 from service.api.forwarding import target_of
 from service.api.services import services_of
@@ -35,8 +35,9 @@ async def admit(connection: HTTPConnection) -> Principal:
     if (
         peers is not None and token is not None and connection.scope["type"] == "http"
     ):  # admitted and counted where it came in
-        principal = peers.verify(token, connection.scope["method"], target_of(connection))
-        connection.scope.setdefault("state", {}).update({PRINCIPAL: principal, FORWARDED: True})
+        principal, body_sha256 = peers.verify(token, connection.scope["method"], target_of(connection))
+        state = {PRINCIPAL: principal, FORWARDED: True, BODY_SHA256: body_sha256}
+        connection.scope.setdefault("state", {}).update(state)
         _enter(connection, principal)
         return principal
     takes_tickets = connection.url.path.endswith(TICKETS_FOR)

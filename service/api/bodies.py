@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import hashlib
 from typing import Any, TypeVar
 
 import orjson
@@ -11,17 +9,23 @@ from pydantic import BaseModel, ValidationError
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.access.peers import FORWARDED
+from service.access.peers import BODY_SHA256, FORWARDED
 from service.access.principal import LOCAL, Principal
 from service.api.auth import PRINCIPAL
+from service.api.digest import sha256
 from service.api.problems import problem_response
 from service.api.services import Services, services_of
-from service.errors import ConfigError, InputError, TooLargeError, UnsupportedMediaTypeError
+from service.errors import (
+    ConfigError,
+    InputError,
+    TooLargeError,
+    UnauthorizedError,
+    UnsupportedMediaTypeError,
+)
 from service.settings import MEBIBYTE, Settings
 
 M = TypeVar("M", bound=BaseModel)
 _JSON_LIMIT = "SKYPOSE_MAX_JSON_KB"
-HASH_IN_LOOP_BYTES = 1 << 16
 
 
 class BodyLimits:
@@ -101,13 +105,22 @@ def _too_large(setting: str, limit: int) -> TooLargeError:
 
 
 async def read_body(request: Request) -> tuple[bytes, str]:
-    """The raw body and its SHA-256. Raises ``InputError`` for an empty one."""
+    """The raw body and its SHA-256.
+
+    Raises ``InputError`` for an empty one, ``UnauthorizedError`` for one that is not what the peer signed which hands
+    the call on.
+    """
     body = await request.body()
     if not body:
         raise InputError("the body is empty", field="body")
-    if len(body) <= HASH_IN_LOOP_BYTES:
-        return body, hashlib.sha256(body).hexdigest()
-    return body, (await asyncio.to_thread(hashlib.sha256, body)).hexdigest()
+    found = await sha256(body)
+    _require_signed(request, found)
+    return body, found
+
+
+def _require_signed(request: Request, found: str) -> None:
+    if request.scope.get("state", {}).get(BODY_SHA256, found) != found:
+        raise UnauthorizedError("no process of this cluster signed this body", field="body")
 
 
 def media_type(request: Request) -> str:
@@ -121,8 +134,11 @@ async def read_json(request: Request, kind: type[M]) -> M:
         raise UnsupportedMediaTypeError(
             "the body must be application/json", field="header:Content-Type", supported=["application/json"]
         )
+    body = await request.body()
+    if BODY_SHA256 in request.scope.get("state", {}):
+        _require_signed(request, await sha256(body))
     try:
-        data: Any = orjson.loads(await request.body())
+        data: Any = orjson.loads(body)
     except orjson.JSONDecodeError as error:
         raise InputError(f"the body is not JSON: {error}", field="body") from error
     try:

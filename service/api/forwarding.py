@@ -20,6 +20,7 @@ from starlette.responses import Response, StreamingResponse
 
 from service.access.peers import FORWARDED, HEADER, Peers
 from service.access.principal import Principal, SessionKey
+from service.api.digest import sha256
 from service.api.problems import NDJSON, problem_line, problem_type
 from service.errors import SkyposeError, StaleOwnerError, StoppingError
 from service.metrics import Metrics
@@ -152,7 +153,7 @@ class Forwarding:
     async def _send(self, call: Call, to: Instance) -> httpx.Response:
         """The answer, read to its end unless it is one that goes on while frames are tracked."""
         assert self._http is not None and self.peers is not None, "open() comes first"
-        token = self.peers.sign(call.caller, to.id, call.method, call.target)
+        token = self.peers.sign(call.caller, to.id, call.method, call.target, await sha256(call.body))
         request = self._http.build_request(
             call.method, to.url + call.target, content=call.body, headers={**call.headers, HEADER: token}
         )

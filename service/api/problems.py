@@ -17,6 +17,7 @@ log = structlog.get_logger(__name__)
 MEDIA_TYPE = "application/problem+json"
 NDJSON = "application/x-ndjson"
 _PREFIX = "urn:skypose:problem:"
+_LONGEST_DETAIL, _LONGEST_FIELD = 2000, 200  # characters
 
 
 def problem_type(kind: type[SkyposeError]) -> str:
@@ -31,11 +32,16 @@ def problem_document(error: SkyposeError) -> dict[str, Any]:
         "type": problem_type(type(error)),
         "title": error.title,
         "status": error.status,
-        "detail": error.detail,
+        "detail": _cut(error.detail, _LONGEST_DETAIL),
     }
     if error.field is not None:
-        body["field"] = error.field
+        body["field"] = _cut(error.field, _LONGEST_FIELD)
     return body
+
+
+def _cut(text: str, most: int) -> str:
+    """What is told of a request repeats what stood in it, which may be megabytes."""
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def problem_line(error: SkyposeError) -> bytes:

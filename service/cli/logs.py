@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from typing import Any
 
 import structlog
+
+_SECRET = re.compile(r"((?:[?&]|\b)ticket=|\bBearer )[^\s&\"'\\]+", re.IGNORECASE)
+
+
+def without_secrets(logger: object, name: str, line: str) -> str:
+    """A finished line without tickets and keys: uvicorn writes the addresses of WebSockets, with their queries."""
+    return _SECRET.sub(r"\1...", line)
 
 
 def configure(level: str, log_format: str) -> None:
@@ -20,10 +28,13 @@ def configure(level: str, log_format: str) -> None:
     if log_format == "json":
         # Without the values of local variables: a key or a frame may be among them.
         plain = structlog.processors.ExceptionRenderer(structlog.tracebacks.ExceptionDictTransformer(show_locals=False))
-        last: list[Any] = [plain, structlog.processors.JSONRenderer()]
+        last: list[Any] = [plain, structlog.processors.JSONRenderer(), without_secrets]
     else:
         last = [
-            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback)
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
+            ),
+            without_secrets,
         ]
     structlog.configure(
         processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],

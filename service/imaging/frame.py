@@ -30,7 +30,7 @@ def as_frame(image: NDArray[Any], facts: FrameFacts = NOTHING) -> Frame:
 
     8 and 16 bits unsigned stay as they are. Everything else becomes 16 bits: integers and floats are counts, rounded;
     negative ones and NaN become 0; floats none of which exceeds 1 are shares of full scale. Raises ``ImageError`` for
-    counts that 16 bits cannot hold, since cutting them off would flatten the object.
+    counts that 16 bits cannot hold, since cutting them off would flatten the object, and for floats without a number.
     """
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[:, :, 0]
@@ -43,6 +43,8 @@ def _sixteen_bits(image: NDArray[Any]) -> NDArray[Any]:
         return image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype.kind not in "biuf":
         raise broken(f"pixels of type {image.dtype} are no numbers")
+    if image.dtype.kind == "f" and not np.isfinite(image).any():
+        raise broken("no pixel is a number: all are NaN or infinite")
     values = np.nan_to_num(image.astype(np.float64), nan=0.0, posinf=np.inf, neginf=0.0)
     most = float(values.max(initial=0.0))
     if image.dtype.kind == "f" and most <= 1.0:

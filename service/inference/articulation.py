@@ -113,12 +113,12 @@ def _part_motions(articulation: Articulation, values: Array) -> list[Array | Non
     stages += [(s, np.array([value])) for joint, value in articulation.held for s in joint.stages]
     stages.sort(key=lambda item: -item[0].depth)
     motions: list[Array | None] = [None] * len(articulation.parts)
+    places = {name: p for p, name in enumerate(articulation.parts)}
     for stage, stage_values in stages:
         moved = stage_motion(stage, stage_values)
-        for p, name in enumerate(articulation.parts):
-            if name in stage.parts:
-                before = motions[p]
-                motions[p] = moved if before is None else moved @ before
+        for p in {places[name] for name in stage.parts if name in places}:
+            before = motions[p]
+            motions[p] = moved if before is None else moved @ before
     return motions
 
 

@@ -25,7 +25,7 @@ class Node:
     name: str
     depth: int  # 0 for a root
     world: NDArray[np.float64]  # (4, 4) node -> file coordinates, at rest
-    subtree: tuple[str, ...]  # names of this node and all its descendants
+    subtree: frozenset[str]  # names of this node and all its descendants
     extensions: Mapping[str, Any]
 
 
@@ -40,6 +40,13 @@ class SceneTree:
 def read_scene_tree(data: bytes) -> SceneTree:
     """Parse a GLB's JSON chunk (glTF 2.0, sections 3.5 and 4.4). Raises ``MeshFileError``."""
     document = _json_chunk(data)
+    try:
+        return _tree(document)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # of a value of another kind
+        raise MeshFileError(f"the node tree of the GLB file cannot be read: {error}") from error
+
+
+def _tree(document: Mapping[str, Any]) -> SceneTree:
     entries = document.get("nodes", [])
     names = _unique_names(entries)
     children = [tuple(entry.get("children", ())) for entry in entries]
@@ -51,12 +58,17 @@ def read_scene_tree(data: bytes) -> SceneTree:
         if not 0 <= i < len(entries) or nodes[i] is not None:
             raise MeshFileError("the nodes of the file form no tree")
         world = parent @ local_matrix(entries[i])
-        subtree = tuple(names[k] for k in _descendants(children, i))
-        nodes[i] = Node(names[i], depth, world, subtree, entries[i].get("extensions") or {})
+        subtree = frozenset(names[k] for k in _descendants(children, i))
+        nodes[i] = Node(names[i], depth, world, subtree, _extensions(entries[i]))
         pending.extend((child, depth + 1, world) for child in children[i])
     if None in nodes:
         raise MeshFileError("the nodes of the file form a cycle")
-    return SceneTree(tuple(node for node in nodes if node is not None), document.get("extensions") or {})
+    return SceneTree(tuple(node for node in nodes if node is not None), _extensions(document))
+
+
+def _extensions(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+    found = entry.get("extensions")
+    return found if isinstance(found, Mapping) else {}
 
 
 def local_matrix(entry: Mapping[str, Any]) -> NDArray[np.float64]:
@@ -101,12 +113,13 @@ def _unique_names(entries: list[Mapping[str, Any]]) -> list[str]:
     return list(seen)
 
 
-def _descendants(children: list[tuple[int, ...]], root: int) -> list[int]:
-    found, pending = [], [root]
+def _descendants(children: list[tuple[int, ...]], root: int) -> set[int]:
+    found: set[int] = set()
+    pending = [root]
     while pending:
         i = pending.pop()
         if i in found or not 0 <= i < len(children):
             raise MeshFileError("the nodes of the file form no tree")
-        found.append(i)
+        found.add(i)
         pending.extend(children[i])
     return found

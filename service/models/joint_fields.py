@@ -13,6 +13,8 @@ from service.errors import JointError
 from service.inference.articulation import Joint, Kind, Stage
 
 FULL_TURN_DEG = 360.0
+LARGEST_NUMBER = 1e12  # as of coordinates: its square, and its cube, are still numbers
+LONGEST_NAME = 255  # characters: answers repeat a joint's name for each symmetry and estimate
 
 
 def refused(field: str, problem: str) -> JointError:
@@ -29,7 +31,7 @@ def make_joint(name: str, kind: Kind, bounds: tuple[float, float, float], stages
     return Joint(name, kind, low, high, initial, stages, period)
 
 
-def limits(low: float, high: float, initial: float, where: str) -> tuple[float, float, float]:
+def range_of(low: float, high: float, initial: float, where: str) -> tuple[float, float, float]:
     """``(low, high, initial)``, if they are in order. Raises ``JointError``."""
     if low > high:
         raise refused(f"{where}.min", f"{low} is above the maximum {high}")
@@ -39,10 +41,12 @@ def limits(low: float, high: float, initial: float, where: str) -> tuple[float, 
 
 
 def number(entry: Mapping[str, Any], key: str, where: str, default: float | None = None) -> float:
-    """A finite number of ``entry``. Raises ``JointError``."""
+    """A number of ``entry``, at most ``LARGEST_NUMBER`` in size. Raises ``JointError``."""
     value = entry.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise refused(f"{where}.{key}", "must be a finite number")
+    if abs(value) > LARGEST_NUMBER:
+        raise refused(f"{where}.{key}", f"must be from {-LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}")
     return float(value)
 
 
@@ -62,10 +66,12 @@ def triple(vector: NDArray[np.float64]) -> tuple[float, float, float]:
     return x, y, z
 
 
-def require_unique_names(joints: Sequence[Joint]) -> None:
-    """Raises ``JointError`` at the second joint of one name."""
+def require_names(joints: Sequence[Joint]) -> None:
+    """Raises ``JointError`` at the second joint of one name, or at a name longer than ``LONGEST_NAME``."""
     seen: set[str] = set()
     for i, joint in enumerate(joints):
+        if len(joint.name) > LONGEST_NAME:
+            raise refused(f"joints[{i}].name", f"is longer than {LONGEST_NAME} characters")
         if joint.name in seen:
             raise refused(f"joints[{i}].name", f"{joint.name!r} is used twice")
         seen.add(joint.name)

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.mesh_limits import MeshLimits, require
 from service.inference.articulation import Joint, Stage
 from service.models.joint_fields import (
-    limits,
     make_joint,
     number,
+    range_of,
     refused,
-    require_unique_names,
+    require_names,
     triple,
     vector,
 )
@@ -23,13 +24,15 @@ _JOINT_KEYS = {"name", "kind", "parts", "axis", "origin", "min", "max", "initial
 
 
 def joints_from_request(
-    entries: Sequence[Mapping[str, Any]], parts: tuple[str, ...], centre: NDArray[np.float64]
+    entries: Sequence[Mapping[str, Any]], parts: tuple[str, ...], centre: NDArray[np.float64], limits: MeshLimits
 ) -> tuple[Joint, ...]:
     """Joints in the contract's form. Applied in the listed order: the first entry moves its parts first.
 
-    ``centre`` (3,) is the mesh centre in file coordinates. Raises ``JointError``.
+    ``centre`` (3,) is the mesh centre in file coordinates. Raises ``JointError``, ``MeshLimitError``.
     """
+    require(limits, joints=len(entries))
     joints: list[Joint] = []
+    moves = 0
     for i, entry in enumerate(entries):
         where = f"joints[{i}]"
         if not isinstance(entry, Mapping):
@@ -39,7 +42,9 @@ def joints_from_request(
             known = ", ".join(sorted(_JOINT_KEYS))
             raise refused(f"{where}.{unknown[0]}", f"unknown field; known are {known}")
         joints.append(_requested_joint(entry, where, parts, centre, len(entries) - i))
-    require_unique_names(joints)
+        moves += len(joints[-1].stages[0].parts)
+        require(limits, moves=moves)
+    require_names(joints)
     return tuple(joints)
 
 
@@ -54,10 +59,10 @@ def _requested_joint(
     moved = entry.get("parts")
     if not isinstance(moved, Sequence) or isinstance(moved, str) or not moved:
         raise refused(f"{where}.parts", "must be a non-empty list of node names")
+    known = set(parts)
     for part in moved:
-        if part not in parts:
-            known = ", ".join(parts)
-            raise refused(f"{where}.parts", f"{part!r} is no part of the model; it has {known}")
+        if not isinstance(part, str) or part not in known:
+            raise refused(f"{where}.parts", f"{part!r} is no part of the model; it has {', '.join(parts)}")
     axis = vector(entry, "axis", where)
     length = float(np.linalg.norm(axis))
     if length == 0:
@@ -67,5 +72,7 @@ def _requested_joint(
     low = number(entry, "min", where, default=-180.0 if turn else None)
     high = number(entry, "max", where, default=180.0 if turn else None)
     initial = number(entry, "initial", where, default=min(max(0.0, low), high))
-    stage = Stage("revolute" if turn else "prismatic", tuple(moved), triple(axis / length), origin, depth)
-    return make_joint(name, stage.kind, limits(low, high, initial, where), (stage,))
+    stage = Stage(
+        "revolute" if turn else "prismatic", tuple(dict.fromkeys(moved)), triple(axis / length), origin, depth
+    )
+    return make_joint(name, stage.kind, range_of(low, high, initial, where), (stage,))

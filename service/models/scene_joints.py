@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.mesh_limits import MeshLimits, require
 from service.inference.articulation import Joint, Kind, Stage
 from service.models.glb import Node, SceneTree
-from service.models.joint_fields import limits, make_joint, number, refused, require_unique_names, triple
+from service.models.joint_fields import LARGEST_NUMBER, make_joint, number, range_of, refused, require_names, triple
 
 EXTENSION = "AGI_articulations"
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -20,7 +21,7 @@ _CONFORMAL_TOLERANCE = 1e-4
 
 
 def joints_from_scene(
-    tree: SceneTree, parts: tuple[str, ...], centre: NDArray[np.float64]
+    tree: SceneTree, parts: tuple[str, ...], centre: NDArray[np.float64], limits: MeshLimits
 ) -> tuple[tuple[Joint, ...], tuple[str, ...]]:
     """Joints of a GLB's ``AGI_articulations`` (Khronos glTF vendor extension), one per stage, and warnings.
 
@@ -28,17 +29,23 @@ def joints_from_scene(
     node deeper in the tree before its parents. Every node that names an articulation, with all its
     descendants, follows the same value. A joint is called as its articulation, or "articulation stage" where
     there are several stages. Scale stages change the shape, which no rigid pose can follow: they are left
-    out, with a warning. ``centre`` (3,) is the mesh centre in file coordinates. Raises ``JointError``.
+    out, with a warning. ``centre`` (3,) is the mesh centre in file coordinates. Raises ``JointError``, and
+    ``MeshLimitError`` before anything is placed.
     """
     definitions = _articulation_definitions(tree)
+    require(limits, joints=sum(not _is_scale(stage) for d in definitions for stage in d.get("stages", ())))
+    driven = _driven(tree, parts)
     warnings: list[str] = []
     joints: list[Joint] = []
+    moves = 0
     most_stages = max((len(d.get("stages", ())) for d in definitions), default=0)
     for d, definition in enumerate(definitions):
         name = str(definition.get("name", ""))
-        nodes = [node for node in tree.nodes if _articulation_of(node) == name]
+        nodes = driven.get(name, ())
         stages = list(enumerate(definition.get("stages", ())))
         moving = [(k, stage) for k, stage in stages if not _is_scale(stage)]
+        moves += len(moving) * sum(len(moved) for _, moved in nodes)
+        require(limits, moves=moves)
         warnings.extend(
             f"articulation {name!r}: stage {stage.get('name')!r} changes the size and is ignored"
             for _, stage in stages
@@ -52,14 +59,26 @@ def joints_from_scene(
         for k, stage in moving:
             where = f"{EXTENSION}.articulations[{d}].stages[{k}]"
             title = name if len(moving) == 1 else f"{name} {stage.get('name', k)}"
-            hinges = [Hinge(node, node.depth * most_stages + k, parts, centre) for node in nodes]
+            hinges = [Hinge(node, node.depth * most_stages + k, moved, centre) for node, moved in nodes]
             joint = _scene_joint(title, stage, where, hinges)
             if joint is None:
                 warnings.append(f"joint {title!r} moves no part rigidly and is ignored")
             else:
                 joints.append(joint)
-    require_unique_names(joints)
+    require_names(joints)
     return tuple(joints), tuple(warnings)
+
+
+def _driven(tree: SceneTree, parts: tuple[str, ...]) -> dict[str, list[tuple[Node, tuple[str, ...]]]]:
+    """Of each articulation the nodes that name it, in file order, each with the parts in its subtree."""
+    order = {name: p for p, name in enumerate(parts)}
+    found: dict[str, list[tuple[Node, tuple[str, ...]]]] = {}
+    for node in tree.nodes:
+        name = _articulation_of(node)
+        if name is not None:
+            moved = sorted(node.subtree & order.keys(), key=order.__getitem__)
+            found.setdefault(name, []).append((node, tuple(moved)))
+    return found
 
 
 def _articulation_of(node: Node) -> str | None:
@@ -90,24 +109,25 @@ class Hinge:
 
     node: Node
     depth: int
-    parts: tuple[str, ...]
+    moved: tuple[str, ...]  # parts
     centre: NDArray[np.float64]  # (3,) file coordinates
 
     def place(self, kind: Kind, local_axis: tuple[float, float, float]) -> tuple[Stage, float] | None:
         """The stage in the body frame, and the model units of one unit of its value; None if not rigid."""
+        if not self.moved:
+            return None
         linear = self.node.world[:3, :3]
         direction = linear @ np.asarray(local_axis)
         length = float(np.linalg.norm(direction))
-        moved = tuple(name for name in self.parts if name in self.node.subtree)
-        if length == 0 or not moved:
+        if not 0 < length <= LARGEST_NUMBER:
             return None
         if kind == "prismatic":
-            return Stage(kind, moved, triple(direction / length), depth=self.depth), length
+            return Stage(kind, self.moved, triple(direction / length), depth=self.depth), length
         if not np.allclose(linear.T @ linear / length**2, np.eye(3), atol=_CONFORMAL_TOLERANCE):
             return None
         axis = direction / length * np.sign(np.linalg.det(linear))  # a mirrored node turns the other way
         origin = triple(self.node.world[:3, 3] - self.centre)
-        return Stage(kind, moved, triple(axis), origin, self.depth), 1.0
+        return Stage(kind, self.moved, triple(axis), origin, self.depth), 1.0
 
 
 def _scene_joint(title: str, stage: Mapping[str, Any], where: str, hinges: Sequence[Hinge]) -> Joint | None:
@@ -124,4 +144,4 @@ def _scene_joint(title: str, stage: Mapping[str, Any], where: str, hinges: Seque
     if not found or len(found) != len(placed) or np.ptp(units) > _CONFORMAL_TOLERANCE * units[0]:
         return None
     low, high, initial = (float(value * units[0]) for value in (low, high, initial))
-    return make_joint(title, kind, limits(low, high, initial, where), tuple(item for item, _ in found))
+    return make_joint(title, kind, range_of(low, high, initial, where), tuple(item for item, _ in found))

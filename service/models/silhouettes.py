@@ -20,6 +20,15 @@ QUICK_SIZE_PX = 40
 QUICK_POINTS = 12_000
 _FILL = 0.42  # radius of what is looked at, as a share of the image
 _SHIFT_BITS = 4  # OpenCV's fixed point: sixteenths of a pixel
+_SURELY_SMALL_PX = 0.93  # a face with no longer edge is small however it is rounded to sixteenths
+
+# What drawing takes at most, in nanoseconds of a slow core. Nine spacecraft took at most 4e9 (the ISS, 14 joints).
+MOST_WORK = 1e10
+_WORK_OF_MASK, _WORK_OF_PART, _WORK_OF_POINT, _WORK_OF_FACE = 1e6, 1e4, 50, 2e3
+
+
+class TooIntricateError(Exception):
+    """Drawing the body again and again would take too long."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,9 @@ class Silhouettes:
         areas = [_areas(part) for part in mesh.parts]
         density = QUICK_POINTS / sum(float(a.sum()) for a in areas)
         self.points = [surface_points(p, a, density) for p, a in zip(mesh.parts, areas, strict=True)]
+        self._edges = [_longest_edges(part) for part in mesh.parts]
+        self._firsts = np.cumsum([0, *(len(part.vertices) for part in mesh.parts)])  # their vertices, one after another
+        self._work = 0.0
 
     def poses(self, joints: Array, target: Target, size_px: int = SIZE_PX) -> Poses:
         """One pose per view with joint values (K, J) or (J,), ``target`` in the middle of the image."""
@@ -52,23 +64,46 @@ class Silhouettes:
         return Poses(self.quaternion, 0.5 * size_px - middle, still.log_scale, np.array(values, dtype=np.float64))
 
     def draw(self, poses: Poses, parts: Sequence[int] | None = None) -> Masks:
-        """(N, SIZE_PX, SIZE_PX) pixels that the parts (all by default) touch."""
+        """(N, SIZE_PX, SIZE_PX) pixels that the parts (all by default) touch. Raises ``TooIntricateError``."""
         chosen = range(len(self.mesh.parts)) if parts is None else parts
+        large, small = self._split(chosen, float(np.exp(poses.log_scale.max(initial=-np.inf))))
+        n_vertices = sum(len(self.mesh.parts[p].vertices) for p in chosen)
+        self._spend(len(poses), len(chosen), n_vertices, len(large))
         masks = np.zeros((len(poses), SIZE_PX, SIZE_PX), dtype=np.uint8)
+        pixels = np.empty((self._firsts[-1], 2))
         for mask, transforms in zip(masks, part_transforms(self.articulation, poses), strict=True):
             for p in chosen:
-                _fill(mask, project(self.mesh.parts[p].vertices, transforms[p]), self.mesh.parts[p].faces)
+                pixels[self._firsts[p] : self._firsts[p + 1]] = project(self.mesh.parts[p].vertices, transforms[p])
+            _set(mask, _fixed(pixels[small]))
+            _fill(mask, _fixed(pixels[large]))
         return masks.astype(bool)
+
+    def _split(self, chosen: Sequence[int], scale: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(F, 3) corners of the parts' faces that may be larger than a pixel, and the vertices of all others."""
+        seen, large = np.zeros(self._firsts[-1], dtype=bool), [np.zeros((0, 3), np.int64)]
+        for p in chosen:
+            big = self._edges[p] * scale > _SURELY_SMALL_PX
+            large.append(self.mesh.parts[p].faces[big] + self._firsts[p])
+            seen[self.mesh.parts[p].faces[~big] + self._firsts[p]] = True
+        return np.concatenate(large), np.flatnonzero(seen)
+
+    def _spend(self, masks: int, parts: int, points: int, faces: int) -> None:
+        """``points`` and ``faces`` of one mask. Raises ``TooIntricateError`` once all work is spent."""
+        one = _WORK_OF_MASK + _WORK_OF_PART * parts + _WORK_OF_POINT * points + _WORK_OF_FACE * faces
+        self._work += masks * one
+        if self._work > MOST_WORK:
+            raise TooIntricateError
 
     def sketch(self, poses: Poses, parts: Sequence[int] | None = None) -> Masks:
         """(N, QUICK_SIZE_PX, QUICK_SIZE_PX) pixels that points of the surface hit: rough, but some 20 times faster."""
         chosen = range(len(self.mesh.parts)) if parts is None else parts
+        self._spend(len(poses), len(chosen), QUICK_POINTS, 0)
         masks = np.zeros((len(poses), QUICK_SIZE_PX, QUICK_SIZE_PX), dtype=bool)
         for mask, transforms in zip(masks, part_transforms(self.articulation, poses), strict=True):
-            for p in chosen:
-                column, row = np.floor(project(self.points[p], transforms[p])).astype(np.int64).T
-                seen = (column >= 0) & (column < QUICK_SIZE_PX) & (row >= 0) & (row < QUICK_SIZE_PX)
-                mask[row[seen], column[seen]] = True
+            pixels = np.concatenate([project(self.points[p], transforms[p]) for p in chosen])
+            column, row = np.floor(pixels).astype(np.int64).T
+            seen = (column >= 0) & (column < QUICK_SIZE_PX) & (row >= 0) & (row < QUICK_SIZE_PX)
+            mask[row[seen], column[seen]] = True
         return masks
 
 
@@ -124,14 +159,25 @@ def _areas(part: Part) -> Array:
     return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
-def _fill(mask: NDArray[np.uint8], pixels: Array, faces: NDArray[np.int32]) -> None:
-    """Draw faces with their edges; what is smaller than a pixel as its corners, which is far quicker."""
-    one = 1 << _SHIFT_BITS
-    triangles = np.round((pixels - 0.5) * one).astype(np.int32)[faces]
-    small = np.ptp(triangles, axis=1).max(axis=1) <= one
-    column, row = ((triangles[small].reshape(-1, 2) + one // 2) >> _SHIFT_BITS).T
+def _longest_edges(part: Part) -> Array:
+    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
+    return np.asarray(np.max([np.linalg.norm(edge, axis=1) for edge in (b - a, c - b, a - c)], axis=0))
+
+
+def _fill(mask: NDArray[np.uint8], triangles: NDArray[np.int32]) -> None:
+    """Draw faces (F, 3, 2) with their edges; what is smaller than a pixel as its corners, which is far quicker."""
+    small = np.ptp(triangles, axis=1).max(axis=1) <= 1 << _SHIFT_BITS
+    _set(mask, triangles[small].reshape(-1, 2))
+    for triangle in triangles[~small]:
+        cv2.fillConvexPoly(mask, triangle, 1, shift=_SHIFT_BITS)
+
+
+def _fixed(pixels: Array) -> NDArray[np.int32]:
+    return np.round((pixels - 0.5) * (1 << _SHIFT_BITS)).astype(np.int32)
+
+
+def _set(mask: NDArray[np.uint8], points: NDArray[np.int32]) -> None:
+    column, row = ((points + (1 << _SHIFT_BITS) // 2) >> _SHIFT_BITS).T
     height, width = mask.shape
     seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     mask[row[seen], column[seen]] = 1
-    for triangle in triangles[~small]:
-        cv2.fillConvexPoly(mask, triangle, 1, shift=_SHIFT_BITS)

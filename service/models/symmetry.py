@@ -17,6 +17,7 @@ from gpu.mesh import Mesh
 from service.inference.articulation import Articulation
 from service.inference.state import Array
 from service.inference.symmetry import Symmetry
+from service.models.silhouettes import TooIntricateError
 from service.models.symmetric_joints import extend, joint_twins, mirrored_rest
 from service.models.symmetry_group import close_group, contains, with_joint_twins
 from service.models.symmetry_matrices import (
@@ -65,16 +66,27 @@ def find_joint_periods(mesh: Mesh, articulation: Articulation) -> tuple[float | 
 
 
 def model_symmetries(mesh: Mesh, articulation: Articulation) -> ModelSymmetries:
-    """All of it at once: symmetries, joint periods, and what a user should be warned of."""
-    trials = Trials(mesh, articulation)
+    """All of it at once: symmetries, joint periods, and what a user should be warned of.
+
+    Of a body too intricate for the search none are told, and a warning is.
+    """
+    try:
+        return _searched(Trials(mesh, articulation))
+    except TooIntricateError:
+        given = tuple(joint.period for joint in articulation.joints)
+        return ModelSymmetries((), given, (_too_intricate(mesh, articulation),))
+
+
+def _searched(trials: Trials) -> ModelSymmetries:
     twins = joint_twins(trials)
     matches, round_axes = _matches(trials)
     bodies = _with_joints(trials, matches)
     group = _verified_group(trials, bodies)
     warnings = [*twins.warnings, *(_round_warning(axis) for axis in round_axes)]
-    if not round_axes and not all(contains(group, symmetry, articulation.joints) for symmetry in bodies):
+    joints = trials.articulation.joints
+    if not round_axes and not all(contains(group, symmetry, joints) for symmetry in bodies):
         warnings.append("the body has more symmetries than the tracker follows: equal views may be reported once")
-    symmetries = with_joint_twins(group, twins.symmetries, articulation.joints)
+    symmetries = with_joint_twins(group, twins.symmetries, joints)
     return ModelSymmetries(symmetries, twins.periods, tuple(warnings))
 
 
@@ -182,6 +194,13 @@ def _is_fine_turn(matrix: Array, axis: Array) -> bool:
     """A turn about the axis by no whole number of quarters: of a continuum, quarters are enough."""
     turned = np.linalg.det(matrix) > 0 and np.allclose(matrix @ axis, axis, atol=0.1)
     return bool(turned and min(angle_deg(matrix, turn(axis, fold)) for fold in (2, 4, -4)) > ALIKE_DEG)
+
+
+def _too_intricate(mesh: Mesh, articulation: Articulation) -> str:
+    return (
+        f"the body ({mesh.n_faces} faces in {len(mesh.parts)} parts, {articulation.n_joints} joints) is too intricate"
+        " to look for all its symmetries: poses that look equal may be reported once"
+    )
 
 
 def _round_warning(axis: Array) -> str:

@@ -35,8 +35,14 @@ class Trials:
         rng = np.random.default_rng(2018)
         low, high = (np.array([getattr(j, end) for j in articulation.joints]) for end in ("minimum", "maximum"))
         self.random = low + rng.random((N_VIEWS, articulation.n_joints)) * (high - low)
+        places = {part.name: p for p, part in enumerate(mesh.parts)}
+        self._moved = {
+            joint.name: tuple(sorted({places[name] for stage in joint.stages for name in stage.parts}))
+            for joint in articulation.joints
+        }
         self._body = Target(np.zeros(3), self._reach())
         self._seen: dict[tuple[int, ...], tuple[Masks, Masks]] = {}
+        self._moving: dict[int, tuple[Poses, Masks]] = {}  # by joint
 
     @property
     def points(self) -> list[Array]:
@@ -45,8 +51,7 @@ class Trials:
 
     def moved_by(self, joint: Joint) -> tuple[int, ...]:
         """Parts that a joint moves, by position."""
-        names = {name for stage in joint.stages for name in stage.parts}
-        return tuple(p for p, part in enumerate(self.mesh.parts) if part.name in names)
+        return self._moved[joint.name]
 
     def offset(self, matrix: Array, parts: tuple[int, ...]) -> tuple[Array, float] | None:
         """For which offset (3,) the parts at rest look alike through ``matrix``, and the mean overlap; None: for none.
@@ -93,11 +98,13 @@ class Trials:
         """How alike the parts of joint ``j`` alone look through ``symmetry``, at random values of that joint."""
         joint = self.articulation.joints[j]
         parts = self.moved_by(joint)
-        values = np.tile(self.rest, (N_VIEWS, 1))
-        values[:, j] = self.random[:, j]
-        poses = self._views.poses(values, self._hinged_target(joint, parts))
-        found = overlap(self._views.draw(poses, parts), self._views.draw(twin(poses, symmetry), parts))
-        return float(found.mean())
+        if j not in self._moving:
+            values = np.tile(self.rest, (N_VIEWS, 1))
+            values[:, j] = self.random[:, j]
+            poses = self._views.poses(values, self._hinged_target(joint, parts))
+            self._moving[j] = poses, self._views.draw(poses, parts)
+        poses, drawn = self._moving[j]
+        return float(overlap(drawn, self._views.draw(twin(poses, symmetry), parts)).mean())
 
     def _through(self, poses: Poses, matrix: Array, offset: Array) -> Poses:
         n = self.articulation.n_joints

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from service.inference.articulation import Joint, Stage
-from service.models.joint_fields import limits, make_joint, number, refused
+from service.models.joint_fields import make_joint, number, range_of, refused
 
 LARGEST_RATIO = 100.0
 _TIE_KEYS = {"name", "tied_to", "ratio"}
@@ -81,7 +81,7 @@ def _folded(leader: Joint, follower: Joint, tie: Tie) -> Joint:
         raise refused(f"{tie.where}.tied_to", f"no value is in the ranges of both {tie.name!r} and {tie.leader!r}")
     initial = min(max(leader.initial, low), high)
     stages = (*leader.stages, *(_turned(stage, tie.ratio) for stage in follower.stages))
-    return make_joint(leader.name, leader.kind, limits(low, high, initial, tie.where), stages)
+    return make_joint(leader.name, leader.kind, range_of(low, high, initial, tie.where), stages)
 
 
 def _turned(stage: Stage, ratio: float) -> Stage:

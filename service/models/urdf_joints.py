@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.mesh_limits import MeshLimits, require
 from gpu.urdf import UrdfJoint, UrdfRobot
 from service.inference.articulation import Joint, Stage
-from service.models.joint_fields import limits, make_joint, require_unique_names, triple
+from service.models.joint_fields import make_joint, range_of, require_names, triple
 from service.models.tied_joints import Tie, is_ratio, tie_joints
 
 _REVOLUTE, _PRISMATIC = ("revolute", "continuous"), "prismatic"
@@ -15,14 +16,16 @@ _HALF_TURN_DEG = 180.0
 
 
 def joints_from_urdf(
-    robot: UrdfRobot, parts: tuple[str, ...], centre: NDArray[np.float64]
+    robot: UrdfRobot, parts: tuple[str, ...], centre: NDArray[np.float64], limits: MeshLimits
 ) -> tuple[tuple[Joint, ...], tuple[str, ...]]:
     """One joint per movable joint of the file, and warnings. ``centre`` (3,) is the mesh centre in file coordinates.
 
     Values count from the file's zero position. A joint that mimics another is tied to it: its offset is in
-    the position at rest. Raises ``JointError``.
+    the position at rest. Raises ``JointError``, ``MeshLimitError``.
     """
+    require(limits, joints=sum(item.kind != "fixed" for item in robot.joints))
     joints: list[Joint] = []
+    moves = 0
     ties: list[Tie] = []
     warnings: list[str] = []
     names = {joint.name for joint in robot.joints}
@@ -31,6 +34,8 @@ def joints_from_urdf(
             continue
         below = robot.below(item.child)
         moved = tuple(name for name in parts if name in below)
+        moves += len(moved)
+        require(limits, moves=moves)
         if item.kind not in (*_REVOLUTE, _PRISMATIC):
             warnings.append(f"joint {item.name!r} of type {item.kind!r} is held at its place")
         elif not moved:
@@ -45,7 +50,7 @@ def joints_from_urdf(
                     warnings.append(
                         f"joint {item.name!r} mimics {leader!r} with multiplier {multiplier:g}: it is taken as free"
                     )
-    require_unique_names(joints)
+    require_names(joints)
     return tie_joints(joints, ties), tuple(warnings)
 
 
@@ -59,6 +64,6 @@ def _joint(item: UrdfJoint, moved: tuple[str, ...], centre: NDArray[np.float64],
         low, high = (-_HALF_TURN_DEG, _HALF_TURN_DEG) if kind == "revolute" else (0.0, 0.0)
     else:
         low, high = unit * (item.lower - offset), unit * (item.upper - offset)
-    bounds = limits(low, high, min(max(0.0, low), high), f"joint {item.name!r}")
+    bounds = range_of(low, high, min(max(0.0, low), high), f"joint {item.name!r}")
     stage = Stage("revolute" if kind == "revolute" else "prismatic", moved, axis, origin, depth)
     return make_joint(item.name, stage.kind, bounds, (stage,))

@@ -26,7 +26,7 @@ from service.sessions.smoothing import SmoothedPages
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, SessionRecord
 from service.store.database import Database
-from service.store.scope import SessionKey, model_key, public_id
+from service.store.scope import SessionKey, model_key, public_id, tenant_of
 from service.workers.base import OverlayJob, Shown
 from service.workers.engine import Engine
 from service.workers.splitting import SplitJob
@@ -94,7 +94,7 @@ class Archive:
             sun=sun_in_image(estimate, config.camera),
             show=show,
         )
-        return await self._engine.overlay(job, self._blob)
+        return await self._engine.overlay(tenant_of(session_id), job, self._blob)
 
     async def frame_fits(self, session_id: SessionKey, index: int) -> bytes:
         """A frame as FITS with its pose. Raises ``GoneError`` where it is no longer kept."""
@@ -104,7 +104,7 @@ class Archive:
             return await asyncio.to_thread(original_with_pose, body, estimate)
         _, config = await self._setting(session_id)
         job = SplitJob(body, media_type, config.camera.ser_byte_order)
-        (frame,) = await self._engine.transport.call(None, "split", job)  # one frame: others are stored singly
+        (frame,) = await self._engine.split(tenant_of(session_id), job)  # one frame: others are stored singly
         return await asyncio.to_thread(image_with_pose, frame.body, estimate)
 
     async def particles(self, session_id: SessionKey, index: int | None) -> ParticleSet:

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 
+from service.errors import InputError
 from service.imaging.split import PNG, SplitFrame
 from service.sessions import config as session_config
 from service.sessions.frame import Answer, FrameIn
@@ -38,7 +39,10 @@ class Batches:
         parts: Sequence[SplitFrame] = await self._engine.transport.call(session_id, "split", job)
         believed = config.camera.headers == "use"
         stamps = [part.facts.time if believed else None for part in parts]
-        times = frame_times(whole.time, stamps, config.motion.frame_interval_s)
+        try:
+            times = frame_times(whole.time, stamps, config.motion.frame_interval_s)
+        except OverflowError as error:  # past the year 9999
+            raise InputError("the frames' times leave the calendar", field="time") from error
         for k, part in enumerate(parts):
             frame = await asyncio.to_thread(_single, whole, k, part, times[k])
             owner = await self._registry.get(session_id)  # it may have been evicted since

@@ -104,7 +104,7 @@ class Checkpoints:
         key = session_key(tenant, session_id)
         given, jobs = await asyncio.to_thread(unpack, packed, key, models, self._check_estimate)
         for job in jobs:
-            require_restored(given.record, await self._engine.restore(job), leads=job is jobs[0])
+            require_restored(given.record, await self._engine.restore(tenant, job), leads=job is jobs[0])
         new = await self._registry.take_in(given)
         return session_document(given.record), new
 

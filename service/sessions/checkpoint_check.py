@@ -16,6 +16,7 @@ from typing_extensions import TypedDict
 
 from service.errors import CheckpointError
 from service.sessions.document import JointNames
+from service.sessions.frame import EARLIEST, LATEST
 from service.store.base import SessionRecord
 from service.workers.base import RestoreReport
 
@@ -24,7 +25,9 @@ EstimateCheck = Callable[[Mapping[str, Any]], object]
 
 
 def _moment(text: str) -> str:
-    datetime.fromisoformat(text)
+    moment = datetime.fromisoformat(text)
+    if moment.tzinfo is None or not EARLIEST <= moment <= LATEST:
+        raise ValueError("a time is in UTC, and of this age")
     return text
 
 

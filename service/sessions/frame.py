@@ -14,7 +14,7 @@ from service.imaging.headers import sniffed
 from service.inference.params import SessionConfig
 from service.store.base import SessionRecord, StoredFrame
 
-_FIRST, _LAST = datetime(1800, 1, 1, tzinfo=UTC), datetime(2200, 1, 1, tzinfo=UTC)  # else it is a slip of the pen
+EARLIEST, LATEST = datetime(1800, 1, 1, tzinfo=UTC), datetime(2200, 1, 1, tzinfo=UTC)  # else it is a slip of the pen
 T = TypeVar("T")
 ANY_KIND = "application/octet-stream"  # what generated clients send
 OWN_SKY_FRAMES = (0, 1, 2, 4, 8)
@@ -87,12 +87,12 @@ def frame_time(record: SessionRecord, frame: FrameIn, interval_s: float, before:
     The filter's clock must not depend on when a frame happened to arrive, or a repeated pass would differ: it
     counts the given times, and the nominal interval where there are none.
     """
-    if frame.time is not None and not _FIRST <= frame.time <= _LAST:
+    if frame.time is not None and not EARLIEST <= frame.time <= LATEST:
         raise InputError(
-            f"a frame is of {_FIRST.year} to {_LAST.year}",
+            f"a frame is of {EARLIEST.year} to {LATEST.year}",
             field="time",
-            minimum=str(_FIRST),
-            maximum=str(_LAST),
+            minimum=str(EARLIEST),
+            maximum=str(LATEST),
         )
     previous = None if record.time_given is None else datetime.fromisoformat(record.time_given)
     if frame.time is not None and previous is not None and frame.time < previous:

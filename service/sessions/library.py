@@ -83,7 +83,7 @@ class Library:
 
     async def prepare(self, tenant: str, key: ModelKey, upload: Upload) -> ModelRecord:
         """Check and describe a model, without storing it."""
-        report = await self._engine.prepare_model(ModelJob(upload.data, upload.file_type, upload.joints))
+        report = await self._engine.prepare_model(tenant, ModelJob(upload.data, upload.file_type, upload.joints))
         blob_key = (await asyncio.to_thread(hashlib.sha256, upload.data)).hexdigest()
         return ModelRecord(
             id=key,
@@ -103,7 +103,7 @@ class Library:
     async def mesh(self, model_id: ModelKey) -> bytes:
         """GLB of a model as it was prepared. Raises ``NotFoundError``."""
         record = await self._database.read(models.get, model_id)
-        return await self._engine.mesh(MeshJob(record.blob_key, record.file_type), self._blob)
+        return await self._engine.mesh(record.tenant, MeshJob(record.blob_key, record.file_type), self._blob)
 
     async def page(self, tenant: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
         """A tenant's models after a cursor as JSON, and the cursor of the next page or None."""

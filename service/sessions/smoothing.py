@@ -84,7 +84,7 @@ class SmoothedPages:
         config = session_config.stored(record.config)
         before = next((row.time_s for row in stored if row.index == after), None)
         rows = [replace(row, belief=None) if row.index in others else row for row in stored if row.index > after]
-        report = await self._engine.smooth(_job(config, record, model, rows, max(count, AHEAD)))
+        report = await self._engine.smooth(record.tenant, _job(config, record, model, rows, max(count, AHEAD)))
         times = [before, *(row.time_s for row in rows[: len(report.estimates)])]
         return _Stretch(after + 1, times, JointNames.of(articulation_of(model), config), report.estimates)
 

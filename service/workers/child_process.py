@@ -23,6 +23,10 @@ class WorkerLostError(Exception):
     """The process died, hung, or lost its device."""
 
 
+class WorkerTimeoutError(WorkerLostError):
+    """It did not answer in time, and was ended."""
+
+
 @dataclass(frozen=True)
 class Program:
     """What a worker process runs. Plain data."""
@@ -76,8 +80,9 @@ class ChildProcess:
                 self._channel.send_bytes(message)
             outcome, payload = pickle.loads(self._channel.recv_bytes())
         except (EOFError, OSError) as error:
-            hung = watchdog.finished.is_set()
-            raise WorkerLostError(f"no answer in {timeout_s:g} s" if hung else "process died") from error
+            if watchdog.finished.is_set():
+                raise WorkerTimeoutError(f"no answer in {timeout_s:g} s") from error
+            raise WorkerLostError("process died") from error
         finally:
             watchdog.cancel()
         if outcome == "refused":

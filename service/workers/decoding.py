@@ -21,13 +21,24 @@ _MESH_SETTINGS = {
     "faces": "SKYPOSE_MAX_MODEL_FACES",
     "vertices": "SKYPOSE_MAX_MODEL_VERTICES",
     "nodes": "SKYPOSE_MAX_MODEL_NODES",
+    "parts": "SKYPOSE_MAX_MODEL_PARTS",
+    "joints": "SKYPOSE_MAX_MODEL_JOINTS",
+    "moves": "SKYPOSE_MAX_MODEL_MOVES",
     "depth": "SKYPOSE_MAX_MODEL_DEPTH",
     "json_bytes": "SKYPOSE_MAX_MODEL_JSON_MB",
 }
 
 
+def past_limit(error: MeshLimitError) -> TooLargeError:
+    """The same with the setting that says so."""
+    setting = _MESH_SETTINGS[error.limit_name]
+    return TooLargeError(str(error), field="file", limit=error.limit, found=error.found, setting=setting)
+
+
 class Decoder(Protocol):
     """Every method raises ``InputError`` (its subclasses) for what is wrong with the body, and nothing else."""
+
+    limits: DecodeLimits
 
     def frame(self, body: bytes, media_type: str, ser_byte_order: ByteOrder = "auto") -> Frame:
         """The one image of a file."""
@@ -84,10 +95,7 @@ class InPlace:
         try:
             return read_parts(data, file_type, self.limits.mesh)
         except MeshLimitError as error:
-            setting = _MESH_SETTINGS[error.limit_name]
-            raise TooLargeError(
-                str(error), field="file", limit=error.limit, found=error.found, setting=setting
-            ) from error
+            raise past_limit(error) from error
         except MeshError as error:
             raise MeshFileError(str(error), field="file") from error
 

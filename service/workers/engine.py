@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
-from service.errors import MissingBlobError
+from service.errors import MissingBlobError, TooLargeError, WorkerFailedError
+from service.imaging.split import SplitFrame
 from service.workers.base import (
     BackgroundJob,
     BackgroundReport,
@@ -22,6 +24,9 @@ from service.workers.base import (
     SmoothJob,
     SmoothReport,
 )
+from service.workers.process import timed_out
+from service.workers.splitting import SplitJob
+from service.workers.turns import Turns
 
 R = TypeVar("R")
 
@@ -35,6 +40,10 @@ class Transport(Protocol):
     @property
     def ready(self) -> bool:
         """Whether jobs can run at once."""
+
+    @property
+    def places(self) -> int:
+        """How many jobs beside the tracking run at one time."""
 
     @property
     def restarts(self) -> int:
@@ -57,14 +66,20 @@ class Transport(Protocol):
 
 
 class Engine:
-    """The workers as coroutines."""
+    """The workers as coroutines. Work beside the tracking waits its tenant's turn."""
 
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
+        self._turns = Turns(lambda: transport.places)
 
-    async def prepare_model(self, job: ModelJob) -> ModelReport:
-        """Load, check and describe a model file."""
-        report: ModelReport = await self.transport.call(None, "prepare_model", job)
+    async def prepare_model(self, tenant: str, job: ModelJob) -> ModelReport:
+        """Load, check and describe a model file. Raises ``TooLargeError`` where that takes too long."""
+        try:
+            report: ModelReport = await self._beside(tenant, "prepare_model", job)
+        except WorkerFailedError as error:
+            if not timed_out(error):
+                raise
+            raise TooLargeError("preparing the model takes too long", field="file", **error.facts) from error
         return report
 
     async def learn_background(self, session_id: str, job: BackgroundJob) -> BackgroundReport:
@@ -82,38 +97,46 @@ class Engine:
 
         return await _with_blobs(run, blobs)
 
-    async def overlay(self, job: OverlayJob, blobs: BlobSource) -> bytes:
+    async def overlay(self, tenant: str, job: OverlayJob, blobs: BlobSource) -> bytes:
         """PNG of a frame with its best silhouette in blue."""
 
         async def run(brought: Mapping[str, bytes]) -> bytes:
-            image: bytes = await self.transport.call(None, "overlay", replace(job, blobs=brought))
+            image: bytes = await self._beside(tenant, "overlay", replace(job, blobs=brought))
             return image
 
         return await _with_blobs(run, blobs)
 
-    async def mesh(self, job: MeshJob, blobs: BlobSource) -> bytes:
+    async def mesh(self, tenant: str, job: MeshJob, blobs: BlobSource) -> bytes:
         """GLB of a model's prepared mesh."""
 
         async def run(brought: Mapping[str, bytes]) -> bytes:
-            data: bytes = await self.transport.call(None, "mesh", replace(job, blobs=brought))
+            data: bytes = await self._beside(tenant, "mesh", replace(job, blobs=brought))
             return data
 
         return await _with_blobs(run, blobs)
 
-    async def restore(self, job: RestoreJob) -> RestoreReport:
-        """Check what a checkpoint brings, beside the tracking."""
-        report: RestoreReport = await self.transport.call(None, "restore", job)
+    async def split(self, tenant: str, job: SplitJob) -> Sequence[SplitFrame]:
+        """Every frame of a stored file as a file of its own."""
+        frames: Sequence[SplitFrame] = await self._beside(tenant, "split", job)
+        return frames
+
+    async def restore(self, tenant: str, job: RestoreJob) -> RestoreReport:
+        """Check what a checkpoint brings."""
+        report: RestoreReport = await self._beside(tenant, "restore", job)
         return report
 
-    async def smooth(self, job: SmoothJob) -> SmoothReport:
-        """A pass smoothed, beside the tracking."""
-        report: SmoothReport = await self.transport.call(None, "smooth", job)
+    async def smooth(self, tenant: str, job: SmoothJob) -> SmoothReport:
+        """A pass smoothed."""
+        report: SmoothReport = await self._beside(tenant, "smooth", job)
         return report
 
     async def describe(self) -> Mapping[str, Any]:
         """Devices, scorer and versions, as a worker sees them."""
-        description: Mapping[str, Any] = await self.transport.call(None, "describe", None)
+        description: Mapping[str, Any] = await self._beside("", "describe", None)
         return description
+
+    async def _beside(self, tenant: str, method: str, job: object) -> Any:
+        return await self._turns.run(tenant, partial(self.transport.call, None, method, job))
 
 
 async def _with_blobs(run: Callable[[Mapping[str, bytes]], Awaitable[R]], blobs: BlobSource) -> R:

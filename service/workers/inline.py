@@ -26,6 +26,11 @@ class InlineTransport:
         """Whether jobs can run at once."""
         return self._worker is not None
 
+    @property
+    def places(self) -> int:
+        """One thread does everything."""
+        return 1
+
     def processes(self) -> Sequence[Mapping[str, Any]]:
         """None: jobs run in this process."""
         return ()

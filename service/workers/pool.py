@@ -70,6 +70,11 @@ class ProcessTransport:
         return all(worker.ready for worker in self.workers)
 
     @property
+    def places(self) -> int:
+        """One process is beside the tracking."""
+        return 1
+
+    @property
     def restarts(self) -> int:
         """Losses so far, over all processes."""
         return sum(worker.restarts for worker in (*self.workers, self.side))

@@ -14,13 +14,14 @@ from typing import Any
 
 import structlog
 
-from service.errors import StoppingError, WorkerFailedError
-from service.workers.child_process import ChildProcess, Program, WorkerLostError
+from service.errors import SkyposeError, StoppingError, WorkerFailedError
+from service.workers.child_process import ChildProcess, Program, WorkerLostError, WorkerTimeoutError
 from service.workers.limits import DecodeLimits
 from service.workers.spare import Spare
 
 log = structlog.get_logger(__name__)
 TRACKER = "service.workers.guarded:guarded"
+_TIMEOUT_SETTING = "SKYPOSE_WORKER_TIMEOUT_S"
 
 
 def tracker_program(settings: Mapping[str, Any], factory: str | None = None) -> Program:
@@ -29,6 +30,11 @@ def tracker_program(settings: Mapping[str, Any], factory: str | None = None) -> 
     arguments = (DecodeLimits.of(settings), kernels) if factory is None else ()
     nice, start_timeout_s = settings["worker_nice"], settings["worker_start_timeout_s"]
     return Program(factory or TRACKER, arguments, nice, start_timeout_s=start_timeout_s)
+
+
+def timed_out(error: SkyposeError) -> bool:
+    """Whether a job failed because it took too long, and would do so again."""
+    return error.facts.get("setting") == _TIMEOUT_SETTING
 
 
 class WorkerProcess:
@@ -67,7 +73,7 @@ class WorkerProcess:
             await self._in_thread(self._up)
 
     async def call(self, method: str, job: object) -> Any:
-        """Run a job; on a loss once more in a new process, then ``WorkerFailedError``."""
+        """Run a job; on a loss once more in a new process, then ``WorkerFailedError``. What timed out is not."""
         try:
             return await self.call_once(method, job)
         except WorkerLostError:
@@ -77,7 +83,10 @@ class WorkerProcess:
                 raise WorkerFailedError(f"the worker failed twice during {method}") from loss
 
     async def call_once(self, method: str, job: object) -> Any:
-        """Run a job. Raises ``WorkerLostError`` where the process is lost over it; the next job has another."""
+        """Run a job. Raises ``WorkerLostError`` where the process is lost over it; the next job has another.
+
+        ``WorkerFailedError`` where it does not answer in time: a second try would take as long again.
+        """
         if self._closing:
             raise StoppingError("the service is shutting down")
         return await self._in_thread(self._call, method, job)
@@ -99,6 +108,9 @@ class WorkerProcess:
             return child.exchange(pickle.dumps((method, job), protocol=5), self._timeout_s)
         except WorkerLostError as loss:
             self._lose(child, method, str(loss))
+            if isinstance(loss, WorkerTimeoutError):
+                detail = f"{method}: {loss}; it is not tried again"
+                raise WorkerFailedError(detail, limit=self._timeout_s, setting=_TIMEOUT_SETTING) from loss
             raise
 
     def _up(self) -> ChildProcess:

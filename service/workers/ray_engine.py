@@ -72,6 +72,11 @@ class RayTransport:
         """Whether an actor takes jobs."""
         return bool(self._actors)
 
+    @property
+    def places(self) -> int:
+        """Each actor has a process beside its tracking."""
+        return max(1, len(self._actors))
+
     def processes(self) -> Sequence[Mapping[str, Any]]:
         """The actors, for operators."""
         return [self._describe(f"track-{n}") for n in range(len(self._keepers))]

@@ -19,6 +19,7 @@ from typing import Any
 from service.errors import SkyposeError, WorkerFailedError
 from service.workers.child_process import Program
 from service.workers.pool import Batching, ProcessTransport
+from service.workers.process import timed_out
 
 PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
@@ -55,9 +56,9 @@ class RayWorker:
         refusal, answer = None, None
         try:
             answer = await self._pool.call(session, method, job)
-        except WorkerFailedError:
-            raise  # it has been tried twice here: elsewhere it may go well
         except SkyposeError as error:
+            if isinstance(error, WorkerFailedError) and not timed_out(error):
+                raise  # it has been tried twice here: elsewhere it may go well
             refusal = error
         return pickle.dumps((refusal, answer, self._memory()), protocol=5)
 

@@ -32,9 +32,7 @@ from service.inference.params import SessionConfig
 from service.inference.state import Frame, Measurement, PoseEstimate
 from service.inference.step import step
 from service.inference.symmetry import Symmetry
-from service.models.articulations import read_joints
 from service.models.mesh_glb import mesh_glb
-from service.models.symmetry import describe_symmetries, model_symmetries, with_periods
 from service.models.symmetry_group import held_symmetries
 from service.workers.base import (
     BackgroundJob,
@@ -57,6 +55,7 @@ from service.workers.full_frame import camera_window, in_full_frame, scale_in_wi
 from service.workers.image_checks import require_same, require_size
 from service.workers.machine import describe_machine
 from service.workers.pictures import LitPictures, draw_silhouette
+from service.workers.preparing import report_model
 from service.workers.resident import ResidentSteps
 from service.workers.restoring import check_restored
 from service.workers.scoring import Scorers, TimedScorer
@@ -90,20 +89,7 @@ class Tracker:
 
     def prepare_model(self, job: ModelJob) -> ModelReport:
         """Load, check and describe a model file."""
-        mesh = self._load(job.data, job.file_type)
-        found = read_joints(job.data, job.file_type, mesh, job.joints)
-        same = model_symmetries(mesh, found.articulation)
-        return ModelReport(
-            faces=mesh.n_faces,
-            vertices=mesh.n_vertices,
-            size=mesh.size,
-            centre=mesh.centre,
-            watertight=mesh.watertight,
-            articulation=with_periods(found.articulation, same.joint_periods),
-            symmetries=tuple(describe_symmetries(same.symmetries, found.articulation)),
-            warnings=(*mesh.warnings, *found.warnings, *same.warnings),
-            twins=same.symmetries,
-        )
+        return report_model(job, self._load(job.data, job.file_type), self._decoder.limits.mesh)
 
     def learn_background(self, job: BackgroundJob) -> BackgroundReport:
         """Decode an image, or every frame of a file, and add it to the background."""

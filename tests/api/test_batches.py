@@ -84,6 +84,13 @@ async def test_what_is_refused(api):
     assert single.json()["index"] == 0  # one frame: one document, as ever
 
 
+async def test_times_past_the_calendar_are_refused(api):
+    session_id = await api.ready_session()
+    query, kind = {"time": "9999-12-31T23:59:59.999999Z"}, {"Content-Type": NPY}
+    answer = await api.http.post(f"/v1/sessions/{session_id}/frames", content=npy(STACK), headers=kind, params=query)
+    assert (answer.status_code, answer.json()["field"]) == (422, "time"), answer.text
+
+
 async def test_a_later_refusal_is_the_last_line(api):
     session_id = await api.ready_session()
     path = f"/v1/sessions/{session_id}/frames"

@@ -13,6 +13,7 @@ from fake_worker import FakeWorker
 from starlette.requests import Request
 
 from service.access.principal import LOCAL
+from service.api.digest import sha256
 from service.api.forwarding import Call
 from service.main import create_app
 from service.settings import Settings
@@ -182,11 +183,15 @@ async def test_access_is_decided_where_the_call_comes_in(pair, tmp_path):
         path = f"/v1/sessions/{session_id}/frames/1"
         peers = one.app.state.services.forwarding.peers
         to = two.app.state.services.forwarding.cluster.me.id
+        body = await sha256(image(1))
+        good = peers.sign(LOCAL, to, "PUT", path, body)
         for token, status in (
             ("x.y.z", 401),
-            (peers.sign(LOCAL, to, "DELETE", path), 401),
-            (peers.sign(LOCAL, "another", "PUT", path), 503),
-            (peers.sign(LOCAL, to, "PUT", path), 503),  # good, but not the owner's: it is not handed on again
+            (peers.sign(LOCAL, to, "DELETE", path, body), 401),
+            (peers.sign(LOCAL, to, "PUT", path, await sha256(image(2))), 401),
+            (peers.sign(LOCAL, "another", "PUT", path, body), 503),
+            (good, 503),  # but not the owner's: it is not handed on again
+            (good, 401),  # once
         ):
             answer = await anybody.put(path, content=image(1), headers={**PNG, "X-Skypose-Peer": token})
             assert (answer.status_code, status) == (status, status), answer.text

@@ -9,12 +9,16 @@ from typing import Any
 
 import httpx
 
-from tests.fuzz.mutate import forge, spoil, spoil_json
+from tests.fuzz.mutate import forge, mend_glb, mend_urdf, spoil, spoil_json
 from tests.fuzz.seeds import Seed, encoded, grey, image_seeds, json_seeds, mesh_seeds, video_seeds
 
 SMALL = {"filter": {"particles": 60}}
 PNG = {"Content-Type": "image/png"}
 SCRATCH_FOR = 200  # attacks until the session that takes spoilt images is a new one
+TOLD = (
+    *("time=2026-11-20T03:04:05Z", "time=9999-12-31T23:59:59-23:59", "time=1e30", "sun=0.1,0.2,-0.9", "sun=0,0,0"),
+    *("ra_deg=10&dec_deg=20", "position_angle_deg=3", "az_deg=120&el_deg=45", "el_deg=91", "sun=1e308,1e308,1e308"),
+)
 EXPORTS = ("aem", "apm", "stk", "czml", "csv", "npz")
 
 
@@ -82,7 +86,12 @@ class Attacker:
     def mesh(self, dice: random.Random) -> None:
         """A spoilt mesh."""
         chosen = dice.choice(self._meshes)
-        body = spoil(dice, chosen.body, dice.choice(self._meshes).body)
+        if chosen.kind == "glb" and dice.random() < 0.5:
+            body = mend_glb(dice, chosen.body)
+        elif chosen.kind == "urdf" and dice.random() < 0.5:
+            body = mend_urdf(dice, chosen.body)
+        else:
+            body = spoil(dice, chosen.body, dice.choice(self._meshes).body)
         self._call("POST", "/v1/models", files={"file": (f"x.{chosen.kind}", body)})
 
     def joints(self, dice: random.Random) -> None:
@@ -101,7 +110,9 @@ class Attacker:
         if answer is not None and answer.status_code == 201:
             session = answer.json()["session_id"]
             self._call("POST", f"/v1/sessions/{session}/background", content=_frame(1), headers=PNG)
-            self._call("POST", f"/v1/sessions/{session}/frames", content=_frame(2), headers=PNG)
+            told = "&".join(dice.sample(TOLD, dice.randrange(4)))
+            self._call("POST", f"/v1/sessions/{session}/frames?{told}", content=_frame(2), headers=PNG)
+            self._call("GET", f"/v1/sessions/{session}/export?format={dice.choice(EXPORTS)}")
             self._delete(session)
 
     def checkpoint(self, dice: random.Random) -> None:
@@ -127,7 +138,10 @@ class Attacker:
         paths = (
             *(f"{here}/estimates?after=1&limit=2", f"{here}/estimates/0", f"{here}/export?format=csv&pose=best"),
             *(f"{here}/frames?time=2026-11-20T03:04:05Z&ra_deg=1&dec_deg=2", f"{here}/background?box=1,2,3,4"),
+            *(f"{here}/frames?az_deg=10&el_deg=40&sun=1,2,3", f"{here}/background?border=4"),
+            *(f"{here}/export?format=aem&object_id=1998-067A", f"{here}/particles?index=0&most=9"),
             *("/v1/models?limit=3&after=0", "/v1/sessions?limit=3", f"{here}/frames/by-key/x", "/v1/system"),
+            *("/v1/audit?after=1&limit=9",),
         )
         path = spoil(dice, dice.choice(paths).encode(), b"?&=%/..").decode("latin-1")
         path = "/" + "".join(c if c.isascii() and c.isprintable() and c not in " #" else f"%{ord(c):02X}" for c in path)

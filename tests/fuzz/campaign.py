@@ -1,8 +1,9 @@
 """The long form of the fuzzer.
 
-    python -m tests.fuzz.campaign --files 100000 --checkpoints 3000 --requests 5000 --frames 6000 [--json FILE]
+    python -m tests.fuzz.campaign --files 100000 --fields 50000 --checkpoints 3000 --requests 5000 --frames 6000
 
-Files go to the decode process that the service uses, checkpoints through the application in this process, requests
+Files go to the decode process that the service uses, fields and checkpoints through the application in this process
+(fields with a fake worker, and trees of models to what reads them), requests
 and WebSocket frames to a real server with the real tracker. Ends with 1 if anything was answered with 500 or more, an
 error was met that nobody foresaw, or a process took more memory than its limit.
 """
@@ -22,7 +23,7 @@ import structlog
 sys.path.append(str(Path(__file__).resolve().parents[1] / "e2e"))
 from server_process import Server
 
-from tests.fuzz import direct, forged, sockets
+from tests.fuzz import direct, fields, forged, sockets
 from tests.fuzz.attack import Attacker
 
 SERVER_LIMIT_MB = 2048  # of the web process and of a worker
@@ -43,6 +44,14 @@ def files(count: int, seed: int) -> dict[str, Any]:
         "over_limit": int(found.peak_mb > DECODE_LIMIT_MB),
         "seconds": round(time.monotonic() - began, 1),
     }
+
+
+def spoilt_fields(count: int, seed: int) -> dict[str, Any]:
+    """Bodies and queries to the application, trees to the readers of models."""
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))  # a line for every call
+    found = asyncio.run(fields.run(count, seed))
+    structlog.reset_defaults()
+    return {"inputs": found.inputs, "statuses": dict(found.statuses), "wrong": found.wrong, "over_limit": 0}
 
 
 def checkpoints(count: int, seed: int) -> dict[str, Any]:
@@ -88,6 +97,7 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--files", type=int, default=100_000)
+    parser.add_argument("--fields", type=int, default=50_000)
     parser.add_argument("--checkpoints", type=int, default=3_000)
     parser.add_argument("--requests", type=int, default=5_000)
     parser.add_argument("--frames", type=int, default=6_000)
@@ -96,6 +106,7 @@ def main() -> None:
     given = parser.parse_args()
     parts = {
         "files": files(given.files, given.seed),
+        "fields": spoilt_fields(given.fields, given.seed),
         "checkpoints": checkpoints(given.checkpoints, given.seed),
         "requests": requests(given.requests, given.frames, given.seed),
     }

@@ -134,6 +134,13 @@ def as_bytes(file: bytes | str) -> bytes:
     return file.encode() if isinstance(file, str) else file
 
 
+_PLAIN = (b'{"model_id": "MODEL"}', b'{"model_ids": ["MODEL", "MODEL"]}')
+TLE = (
+    "1 25544U 98067A   26324.50000000  .00010000  00000-0  18000-3 0  9990\n"
+    "2 25544  51.6400 100.0000 0005000  50.0000 310.0000 15.50000000    04"
+)
+
+
 def json_seeds() -> list[bytes]:
     """Bodies of ``POST /v1/sessions``; MODEL stands for the model's id."""
     full = {
@@ -146,4 +153,28 @@ def json_seeds() -> list[bytes]:
         "camera": {"mirrored": False, "pixel_scale_arcsec": 0.2},
         "joints": {"free": [], "fixed": {}},
     }
-    return [json.dumps(full).encode(), b'{"model_id": "MODEL"}', b'{"model_ids": ["MODEL", "MODEL"]}']
+    known = {
+        "model_id": "MODEL",
+        "background": "auto",
+        "likelihood": {"kind": "contrast", "shading_nats": 800.0, "edge_nats_per_px": 0.6},
+        "prior": {"orbit": TLE, "unit_m": 1.0, "scale_tolerance": 0.1, "scale_px": 3.0, "scale_sigma": 0.03},
+        "camera": {
+            "mount": "altaz",
+            "up_angle_deg": 10.0,
+            "equinox": "date",
+            "pixel_scale_arcsec": 0.2,
+            "binning": 2,
+            "site_latitude_deg": 48.0,
+            "site_longitude_deg": 11.0,
+            "site_height_m": 500.0,
+            "transfer": 0.45,
+            "psf_sigma_px": 1.5,
+            "roi": [2, 2, 20, 16],
+            "background": "auto",
+            "headers": "use",
+        },
+        "joints": {"free": "all", "fixed": {}},
+        "light": {"sun": [0.3, -0.2, -0.9], "sun_sigma_deg": 1.0},
+    }
+    paper = {"model_id": "MODEL", "filter": {"preset": "paper", "particles": 60}, "camera": {"transfer": "srgb"}}
+    return [*(json.dumps(one).encode() for one in (full, known, paper)), *_PLAIN]

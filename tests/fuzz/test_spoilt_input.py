@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.fuzz import direct, forged, schema
+from tests.fuzz import direct, fields, forged, schema
 
 DECODE_LIMIT_MB = 2048
 
@@ -14,6 +14,16 @@ def test_spoilt_files_are_refused_or_decoded():
     assert not found.tripped
     assert found.answers["decoded"] < 750
     assert found.peak_mb < DECODE_LIMIT_MB
+
+
+@pytest.mark.anyio
+async def test_spoilt_fields_are_refused_or_taken():
+    found = await fields.run(400, seed=3)
+    assert found.inputs >= 400
+    assert not found.wrong
+    assert found.statuses["422"] > 50
+    assert found.statuses["201"] > 10
+    assert found.statuses["read"] > 3
 
 
 @pytest.mark.anyio

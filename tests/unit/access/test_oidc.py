@@ -63,6 +63,12 @@ def token(
     return jwt.encode(claims, key, algorithm, headers={} if kid is None else {"kid": kid})
 
 
+def signed_by_hand(**changes: object) -> str:
+    """With claims that the library itself would not sign."""
+    claims = {**CLAIMS, "exp": int(time.time() + 86_400), **changes}
+    return jwt.api_jws.encode(orjson.dumps(claims), EC_KEY, "ES256", headers={"kid": "ec"})
+
+
 @pytest.mark.parametrize("made", [token(), token(RSA_KEY, "rsa", "RS256")])
 async def test_good_token(made):
     caller = await oidc().verify(made)
@@ -83,10 +89,15 @@ async def test_good_token(made):
         token(exp=None),
         token(exp=10**18),
         token(exp=10**30),
+        token(exp=float("inf")),
+        token(iat=float("nan")),
+        token(nbf=1e300),
         token(nbf=int(time.time()) + 86_000),
         token(SHARED, "shared", "HS256"),
         token(RSA_KEY, "ec", "RS256"),
         jwt.encode({**CLAIMS, "exp": int(time.time() + 86_400)}, None, "none", headers={"kid": "ec"}),
+        signed_by_hand(iss=[PROVIDER.issuer]),
+        signed_by_hand(iss=7),
         token()[:-4] + "AAAA",
         "a.b.c",
         "",

@@ -6,7 +6,8 @@ import re
 import pytest
 
 from service import errors
-from service.errors import MissingBlobError, every_error
+from service.api.problems import problem_document
+from service.errors import ConfigError, MissingBlobError, every_error
 
 
 def test_tree_is_as_drawn():
@@ -28,3 +29,10 @@ def test_errors_cross_processes(kind):
 def test_missing_blobs_are_named():
     error = pickle.loads(pickle.dumps(MissingBlobError.of(["b", "a"])))
     assert error.keys == ("a", "b")
+
+
+def test_a_refusal_does_not_repeat_megabytes_of_what_was_sent():
+    told = problem_document(ConfigError("no joint 'x" + "x" * 10**6, field="joints." + "y" * 10**6))
+    assert len(told["detail"]) < 2100
+    assert len(told["field"]) < 250
+    assert told["detail"].startswith("no joint 'xx")

@@ -69,6 +69,12 @@ def test_scaled_signed_and_floating_values_become_counts():
         decode_frame(written(np.array([[70_000]], np.int32)), FITS)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_image_without_a_number_is_refused(value):
+    with pytest.raises(ImageError, match="no pixel is a number"):
+        decode_frame(written(np.full((4, 5), value, np.float32)), FITS)
+
+
 def test_cubes_are_frames_and_three_planes_are_colour():
     cube = NOISE.integers(0, 65536, (4, 10, 12), dtype=np.uint16)
     frames = decode_frames(written(cube[:, ::-1]), FITS)

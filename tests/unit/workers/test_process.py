@@ -88,8 +88,10 @@ async def test_job_that_kills_twice_is_refused(job):
 
 async def test_hang_is_ended():
     async with worker(timeout_s=0.5) as process:
-        with pytest.raises(WorkerFailedError):
+        with pytest.raises(WorkerFailedError) as refusal:
             await process.call("overlay", "stop")
+        assert process.restarts == 1  # it was not tried again
+        assert refusal.value.facts == {"limit": 0.5, "setting": "SKYPOSE_WORKER_TIMEOUT_S"}
         process._timeout_s = 60.0  # half a second is little for a good answer of a busy machine
         assert await process.call("overlay", "pid")
 

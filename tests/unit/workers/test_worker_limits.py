@@ -67,7 +67,12 @@ def test_directories_of_a_tiff_cannot_share_their_values_for_ever():
 
 @pytest.mark.parametrize(
     ("limit", "kinds"),
-    [("faces", ("glb", "obj", "stl", "ply")), ("vertices", ("glb", "obj", "ply")), ("nodes", ("glb",))],
+    [
+        ("faces", ("glb", "obj", "stl", "ply")),
+        ("vertices", ("glb", "obj", "ply")),
+        ("nodes", ("glb",)),
+        ("parts", ("glb",)),
+    ],
 )
 def test_each_limit_of_meshes_is_named(limit, kinds):
     box = trimesh.creation.box((1, 2, 3))
