@@ -57,13 +57,7 @@ class Metrics:
         self.retention = Counter(
             "skypose_retention_total", "Sessions ended and deleted by rule", ["action"], registry=self.registry
         )
-        self.cut_connections = Counter(
-            "skypose_cut_connections_total",
-            "Connections cut: no head in time, or too many from one address or in all",
-            ["reason"],
-            registry=self.registry,
-        )
-        self.connections = self._gauge("skypose_connections", "Open connections")
+        self._count_connections()
         self.evictions = Counter("skypose_evictions_total", "Idle sessions that left memory", registry=self.registry)
         self.resident_sessions = self._gauge("skypose_resident_sessions", "Sessions in memory")
         self.waiting_frames = self._gauge("skypose_waiting_frames", "Frames waiting or under way")
@@ -74,6 +68,15 @@ class Metrics:
         self.disk_free_bytes = self._gauge("skypose_disk_free_bytes", "Free on its disk; NaN where it is elsewhere")
         self.disk_free_bytes.set(math.nan)
         self.loop_lag_seconds = self._gauge("skypose_loop_lag_seconds", "Delay of the event loop, newest")
+
+    def _count_connections(self) -> None:
+        self.cut_connections = Counter(
+            "skypose_cut_connections_total",
+            "Connections cut: no head in time, or too many from one address or in all",
+            ["reason"],
+            registry=self.registry,
+        )
+        self.connections = self._gauge("skypose_connections", "Open connections")
 
     def _gauge(self, name: str, text: str) -> Gauge:
         return Gauge(name, text, registry=self.registry)
