@@ -13,7 +13,6 @@ from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.model import existence, paint, prior
 from service.inference.model.drawing import Images
 from service.inference.model.dynamics import corrected, new_born
-from service.inference.model.existence import evidence_at
 from service.inference.model.nuisance import Nuisance, log_prior, nudged
 from service.inference.model.search import Found
 from service.inference.motion import MotionNoise
@@ -56,7 +55,7 @@ def weigh(
     afresh = -np.inf  # the leader's evidence, were its paint unknown
     if lead is not None:
         planes = planes_of(lead.one, hill)
-        afresh = evidence_at(hill, hill.scene, planes)
+        afresh = float(hill.log_evidences(planes)[0])
         alone = lead.alone + afresh - lead.one.fit.log_evidence
         level = lead.log_weight - prior.EVIDENCE_TRUST * alone
     new = newborn(refined, found)

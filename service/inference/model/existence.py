@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import betaln
 
 from service.inference.model import prior
-from service.inference.model.likelihood import Fit, Images, Scene, terms_of
+from service.inference.model.likelihood import Fit, Images
 from service.inference.numerics.gauss_newton import Hill
 from service.inference.state import Array, Goodness
 
@@ -26,9 +26,7 @@ def expected(before: Array | None, dt_s: float) -> Array:
 def log_absent(hill: Hill) -> float:
     """Log evidence of the sky alone."""
     side, groups = hill.view.side, hill.drawing.n_groups
-    nothing = np.zeros((1, groups + 1, side, side), np.float32)
-    terms = terms_of(hill.scene, groups, groups + 1)
-    return float(hill.drawing.light.evidence(nothing, groups, terms, hill.rounds).log_evidence[0])
+    return float(hill.log_evidences(np.zeros((1, groups + 1, side, side), np.float32))[0])
 
 
 def log_unlike(hill: Hill, planes: Images) -> float:
@@ -36,13 +34,7 @@ def log_unlike(hill: Hill, planes: Images) -> float:
 
     ``planes`` (1, Q, S, S) of the best mode; other light is left out, so it is a least.
     """
-    return evidence_at(hill, replace(hill.scene, discrepancy=prior.UNLIKE), planes)
-
-
-def evidence_at(hill: Hill, scene: Scene, planes: Images) -> float:
-    """Log evidence of one drawn pose under other terms than the hill's."""
-    terms = terms_of(scene, hill.drawing.n_groups, planes.shape[1])
-    return float(hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence[0])
+    return float(hill.log_evidences(planes, replace(hill.scene, discrepancy=prior.UNLIKE))[0])
 
 
 def log_light(hill: Hill, fit: Fit) -> float:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.inference.model import prior
-from service.inference.model.likelihood import Images, terms_of
-from service.inference.model.paint import painted
+from service.inference.model.likelihood import Images
 from service.inference.model.spread import PointSpread
 from service.inference.numerics.gauss_newton import Hill
 from service.inference.state import Array, Poses
@@ -43,9 +42,7 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
     def value(core: int, wings: int) -> float:
         spread = PointSpread(_CORES[core] / scale, _WINGS[wings] / scale)
         scene = replace(hill.scene, point_spread=spread, low_pass=hill.scene.smoothing)
-        terms = terms_of(scene, hill.drawing.n_groups, planes.shape[1])
-        found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence
-        return float(np.max(found)) + _log_prior(_CORES[core], _WINGS[wings])
+        return float(np.max(hill.log_evidences(planes, scene))) + _log_prior(_CORES[core], _WINGS[wings])
 
     here = (
         int(np.argmin(np.abs(np.log(np.array(_CORES) / start.core)))),
@@ -69,8 +66,7 @@ def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> 
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
     values = []
     for tau in _DISCREPANCIES:
-        terms = terms_of(replace(hill.scene, discrepancy=tau), hill.drawing.n_groups, planes.shape[1])
-        found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence
+        found = hill.log_evidences(planes, replace(hill.scene, discrepancy=tau))
         deviation = np.log(tau / prior.DISCREPANCY) / prior.DISCREPANCY_LOG_SIGMA
         values.append(float(np.max(found)) - 0.5 * deviation**2)
     return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
@@ -96,9 +92,7 @@ def nudged(
         discrepancy=other.discrepancy,
         low_pass=hill.scene.smoothing,
     )
-    terms = terms_of(scene, hill.drawing.n_groups, planes.shape[1])
-    terms = terms if paint is None else painted(terms, paint[None])
-    found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds).log_evidence
+    found = hill.log_evidences(planes, scene, paint)
     return other if float(found[0]) + log_prior(other) > log_evidence + log_prior(now) else now
 
 

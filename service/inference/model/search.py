@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from service.inference.model import bank as banks
 from service.inference.model.drawing import Drawing
-from service.inference.model.likelihood import terms_of
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
 from service.inference.model.stages import (
     CLEAR,
@@ -223,9 +222,7 @@ def propose(bank: Bank, patch: PatchLike, told: PosePrior) -> Candidates:
 def scored(hill: Hill, some: Candidates) -> Candidates:
     """The same with their log posteriors on a hill, best first."""
     planes = hill.drawing.planes(some.poses, some.suns, hill.view, hill.quality)
-    terms = terms_of(hill.scene, hill.drawing.n_groups, planes.shape[1])
-    answers = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, hill.rounds)
-    found = np.asarray(answers.log_evidence + log_prior(some.poses, hill.told))
+    found = hill.log_evidences(planes) + log_prior(some.poses, hill.told)
     return Candidates(some.poses, some.suns, found)[np.argsort(-found)]
 
 

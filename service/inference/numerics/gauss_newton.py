@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from service.inference.model.derivatives import across, derivatives
 from service.inference.model.drawing import FINE, Drawing, Quality, View
-from service.inference.model.likelihood import ROUNDS, Fit, Scene, terms_of
+from service.inference.model.likelihood import ROUNDS, Fit, Images, Scene, terms_of
 from service.inference.model.paint import painted
 from service.inference.model.prior import CHI2_DEGREES_OF_FREEDOM, POSE_DEGREES_OF_FREEDOM
 from service.inference.numerics.priors import Believed, PosePrior
@@ -49,6 +49,13 @@ class Hill:
     sun_free: bool = True
     rounds: int = ROUNDS
     trust: Trust = Trust()
+
+    def log_evidences(self, planes: Images, scene: Scene | None = None, paint: Array | None = None) -> Array:
+        """(N,) of drawn poses (N, Q, S, S); ``scene``: another than the hill's, ``paint`` (2, P): as they should have."""
+        terms = terms_of(scene or self.scene, self.drawing.n_groups, planes.shape[1])
+        terms = terms if paint is None else painted(terms, paint[None])
+        found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms, self.rounds)
+        return np.asarray(found.log_evidence, np.float64)
 
 
 @dataclass(frozen=True)
