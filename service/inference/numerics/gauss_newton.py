@@ -51,7 +51,7 @@ class Hill:
     trust: Trust = Trust()
 
     def log_evidences(self, planes: Images, scene: Scene | None = None, paint: Array | None = None) -> Array:
-        """(N,) of drawn poses (N, Q, S, S); ``scene``: another than the hill's, ``paint`` (2, P): as they should have."""
+        """(N,) of drawn poses (N, Q, S, S). ``scene``: not the hill's own; ``paint`` (2, P): as they should have it."""
         terms = terms_of(scene or self.scene, self.drawing.n_groups, planes.shape[1])
         terms = terms if paint is None else painted(terms, paint[None])
         found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms, self.rounds)
