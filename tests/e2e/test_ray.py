@@ -116,5 +116,5 @@ def test_nothing_of_ray_is_imported_unless_chosen():
 def test_ray_that_is_not_installed_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.delitem(sys.modules, "service.workers.ray_engine", raising=False)
-    with pytest.raises(ConfigError, match=r"skypose\[ray\]"):
+    with pytest.raises(ConfigError, match=r"pip install 'ray"):
         open_transport(Settings(engine="ray").model_dump())

@@ -238,7 +238,7 @@ def test_sqlite_counts_rows_and_pages_in_use(tmp_path):
 
 
 def test_a_real_service_is_measured(tmp_path):
-    small = ["--particles", "60", "--size", "64x64", "--rate", "0.2", "--seconds", "5", "--most-sessions", "1"]
+    small = ["--particles", "60", "--size", "64x64", "--rate", "0.5", "--seconds", "2", "--most-sessions", "1"]
     out = tmp_path / "rows.json"
     result = CliRunner().invoke(app, ["bench", "load", *small, "--bound-ms", "60000", "--json", str(out)], env=WIDE)
     assert result.exit_code == 0, result.output
