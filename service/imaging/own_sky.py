@@ -33,7 +33,7 @@ def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic],
     """
     data = np.asarray(image, np.float32)
     data = data[..., None] if data.ndim == 2 else data
-    terms = smooth_terms(*data.shape[:2])
+    terms = _terms(*data.shape[:2])
     grey = data.mean(axis=2)
     ring = _ring(*grey.shape)
     surface, sigma = _surface(grey, terms, ring)
@@ -47,12 +47,12 @@ def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic],
 
 def filled(image: Map, known: NDArray[np.bool_]) -> Map:
     """``image`` (H, W, C) with a smooth surface through the ``known`` pixels (H, W) in the place of all others."""
-    terms = smooth_terms(*known.shape)
+    terms = _terms(*known.shape)
     surfaces = [_sky(image[..., channel], terms, known)[0] for channel in range(image.shape[2])]
     return np.where(known[..., None], image, np.stack(surfaces, axis=-1))
 
 
-def smooth_terms(height: int, width: int) -> NDArray[np.float32]:
+def _terms(height: int, width: int) -> NDArray[np.float32]:
     """(6, H, W) level, slopes and bends across the image: what stray light and vignetting leave."""
     across, down = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
     return np.stack([np.ones_like(across), across, down, across**2, across * down, down**2]).astype(np.float32)

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.background import Sky
-from service.imaging.own_sky import fitted, smooth_terms
+from service.imaging.own_sky import fitted
 
 Map = NDArray[np.float32]
 
 DETECTION_SIGMAS = 5.0
 """Light counts as detected from here on, after a smoothing by one pixel: one false pixel in a few million."""
 _SMOOTH_PX = 1.0
-_LEVEL_PIXELS, _LEVEL_BORDER = 8_192, 0.15  # looked at for a frame's own level; share of the half width
-_LEVEL_ROUNDS, _LEVEL_SIGMAS = 4, 3.0
+_LEVEL_PIXELS, _LEVEL_BORDER = 4_096, 0.15  # looked at for a frame's own level; share of the half width
+_LEVEL_ROUNDS, _LEVEL_SIGMAS = 3, 3.0
 _SMOOTHED_SIGMA = 1.0 / (2.0 * np.sqrt(np.pi) * _SMOOTH_PX)  # of white noise of unit variance after it
 _LEAST_AREA_PX = 9
 _NEAR = 0.35  # components nearer than this share of the object's diagonal belong to it: booms and panels half in shadow
@@ -116,24 +116,27 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
 
 
 def _own_level(above: Map, sigma: float) -> Map:
-    """(H, W) by how much a frame's sky differs from the one that was learnt: a plane, as moonlight and haze make it.
+    """(H, W), or (1, 1): by how much a frame's sky differs from the learnt one. A plane, as of moonlight and haze.
 
     Guessed from the border, where the object seldom is, then fitted to all that looks like such a sky. Where most of
     the border does not, it is no plane that has changed, and nothing is taken away.
     """
     height, width = above.shape
     every = max(1, int(np.sqrt(height * width / _LEVEL_PIXELS)))  # a sample tells the level well enough
-    some, terms = above[::every, ::every], smooth_terms(height, width)[:3]
-    sampled = terms[:, ::every, ::every]
-    edge = np.abs(sampled[1:]).max(axis=0) > 1 - _LEVEL_BORDER
-    plane = fitted(some, sampled, edge)[0]
+    across, down = (np.linspace(-1, 1, size, dtype=np.float32) for size in (width, height))
+    some = above[::every, ::every]
+    x, y = np.meshgrid(across[::every], down[::every])
+    terms = np.stack([np.ones_like(x), x, y])
+    edge = np.maximum(np.abs(x), np.abs(y)) > 1 - _LEVEL_BORDER
+    plane = fitted(some, terms, edge)[0]
     for _ in range(_LEVEL_ROUNDS):
-        sky = np.abs(some - np.tensordot(plane, sampled, 1)) < _LEVEL_SIGMAS * sigma
+        sky = np.abs(some - np.tensordot(plane, terms, 1)) < _LEVEL_SIGMAS * sigma
         if np.count_nonzero(sky & edge) < 0.5 * np.count_nonzero(edge):
-            return np.zeros_like(above)
-        columns = sampled[:, sky].astype(np.float64)
+            return np.zeros((1, 1), np.float32)
+        columns = terms[:, sky].astype(np.float64)
         plane = np.asarray(np.linalg.lstsq(columns @ columns.T, columns @ some[sky], rcond=None)[0], np.float64)
-    return np.tensordot(plane, terms, 1).astype(np.float32)
+    level, right, below = plane.astype(np.float32)
+    return np.asarray((level + right * across) + (below * down)[:, None], np.float32)
 
 
 def _photon_transfer(above: Map, sigma: float) -> float:

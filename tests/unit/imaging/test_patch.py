@@ -40,7 +40,7 @@ def test_grey_light_is_what_is_above_the_sky():
     image = np.round(100 + 5 * noise() + with_box(40, 30, 80, 60, 200.0)).astype(np.uint16)
     found = light_of(image, sky([5.0]), 16)
     off = found.image - (image - 100.0)  # the frame's own level is known to the noise of all of its sky
-    assert np.abs(off).max() < 0.3
+    assert np.abs(off).max() < 0.5
     assert found.sigma == pytest.approx(5.0)
     assert not found.censored.any()
     assert 0.0 < found.hidden <= 100.0
