@@ -86,7 +86,7 @@ def test_hidden_pieces_change_nothing(kernel):
 def test_more_crossings_in_a_row_than_there_is_room_for(kernel):
     rng = np.random.default_rng(9)
     mesh = mesh_of(soup(rng, 3000, 900))
-    poses = transforms(rng, mesh, 2, 30.0)
+    poses = transforms(rng, mesh, 1, 30.0)
     assert_twins(mesh, kernel, poses, a_map(rng))
 
 
