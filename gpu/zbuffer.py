@@ -55,20 +55,6 @@ def rasterise(corners: Floats, width: int, height: int) -> Visible:
     return Visible(face.reshape(height, width), depth.reshape(height, width))
 
 
-def drawable(vertices: Floats, faces: NDArray[np.integer], width: int, height: int) -> NDArray[np.int64]:
-    """Which of the faces (F, 3) may cover a pixel's centre: in a coarse view of a fine mesh, few do.
-
-    ``vertices`` is (V, 2) or (V, 3), x and y in pixels.
-    """
-    may = np.ones(len(faces), dtype=bool)
-    a, b, c = faces.T
-    for axis, size in ((0, width), (1, height)):
-        cell = np.clip(np.ceil(vertices[:, axis] - 0.5), 0, size).astype(np.int32)  # centres that lie before it
-        p, q, r = cell[a], cell[b], cell[c]
-        may &= (p != q) | (q != r)
-    return np.flatnonzero(may)
-
-
 def _spans(corners: Floats, width: int, height: int) -> _Spans:
     """Rows whose centre line crosses a triangle, and the pixel centres between the crossings."""
     y = corners[:, :, 1]

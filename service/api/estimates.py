@@ -81,8 +81,7 @@ async def read_estimate(session: ReadSession, index: Index, services: ServicesDe
 )
 async def read_overlay(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame with the best silhouette in blue (the paper's Table 1)."""
-    image = await services.archive.picture(session, index, "overlay")
-    return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
+    return await _picture(session, index, services, "overlay")
 
 
 @router.get(
@@ -92,33 +91,30 @@ async def read_overlay(session: ReadSession, index: Index, services: ServicesDep
 )
 async def read_picture(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame alone, 8 bits, stretched where people would see nothing otherwise."""
-    image = await services.archive.picture(session, index, "frame")
-    return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
+    return await _picture(session, index, services, "frame")
 
 
 @router.get(
     "/estimates/{index}/model.png",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **problems(404, 409, 410, 422, 503)},
+    responses={**bytes_answered("image/png"), **problems(404, 409, 410, 422, 503)},
 )
 async def read_model_picture(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """What the frame should look like by the best pose: paint, light and blur as they explain it best."""
-    image = await services.archive.picture(session, index, "model")
-    return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
+    return await _picture(session, index, services, "model")
 
 
 @router.get(
     "/estimates/{index}/residual.png",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **problems(404, 409, 410, 422, 503)},
+    responses={**bytes_answered("image/png"), **problems(404, 409, 410, 422, 503)},
 )
 async def read_residual(session: ReadSession, index: Index, services: ServicesDep) -> Response:
     """The frame less `model.png`, both after the same low pass: orange where light is left, blue where it is missing.
 
     Full colour is half of what lies between black and white in `frame.png`.
     """
-    image = await services.archive.picture(session, index, "residual")
-    return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
+    return await _picture(session, index, services, "residual")
 
 
 @router.get(
@@ -178,6 +174,13 @@ def _particles_json(found: ParticleSet, most: int | None) -> bytes:
     arrays = {name: np.ascontiguousarray(value) for name, value in found.arrays(most).items()}
     head = {"index": found.index, "orientation_order": ["w", "x", "y", "z"], "joint_names": found.joint_names}
     return orjson.dumps({**head, **arrays}, option=orjson.OPT_SERIALIZE_NUMPY)
+
+
+async def _picture(
+    session: ReadSession, index: int, services: ServicesDep, show: Literal["frame", "overlay", "model", "residual"]
+) -> Response:
+    image = await services.archive.picture(session, index, show)
+    return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
 
 
 def _json(document: bytes) -> Response:

@@ -50,17 +50,6 @@ def distance(poses: Poses, seed: Poses, metric: Metric) -> Array:
     return np.asarray(np.maximum(angle, np.max(gap / metric.joint_radius, axis=1)))
 
 
-def short_way(tangent: Array, metric: Metric) -> Array:
-    """(N, 6 + J) tangent coordinates with the joints that turn all the way round taken the short way."""
-    turning = np.isfinite(metric.joint_turn)
-    if not np.any(turning):
-        return tangent
-    out = tangent.copy()
-    turn = metric.joint_turn[turning]
-    out[:, 6:][:, turning] = np.mod(out[:, 6:][:, turning] + turn / 2, turn) - turn / 2
-    return out
-
-
 def cluster(poses: Poses, priority: Array, metric: Metric) -> Labels:
     """(N,) label of each pose's cluster, 0 for the one around the pose of highest priority (see ``find_seeds``)."""
     return nearest_seed(poses, find_seeds(poses, priority, metric), metric)

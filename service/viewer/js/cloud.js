@@ -7,6 +7,7 @@ import {
 import { modeColour } from "./colours.js";
 import { fitRenderer, makeTurnable, openRenderer, Painter, pixelRatio } from "./gl.js";
 import { axes, drawn, lights } from "./model.js";
+import { Newest } from "./newest.js";
 import { angleBetween, lineOfSight } from "./rotation.js";
 
 const MOST = 2000; // particles asked for
@@ -35,6 +36,7 @@ const material = (fragmentShader) => new ShaderMaterial({ vertexShader: VERTEX, 
 export class CloudView {
   constructor(figure, api) {
     this.api = api;
+    this.newest = new Newest((estimate) => this.fetch(estimate), LATEST_WAIT_MS);
     const canvas = figure.querySelector("canvas");
     this.note = figure.querySelector(".note");
     this.renderer = openRenderer(canvas);
@@ -55,7 +57,8 @@ export class CloudView {
 
   reset(session) {
     this.session = session;
-    this.estimate = this.wanted = this.particles = null;
+    this.newest.forget();
+    this.estimate = this.particles = null;
     this.body?.removeFromParent();
     this.body = null;
     this.plot([], []);
@@ -100,16 +103,7 @@ export class CloudView {
     if (!this.aimed) this.resetView();
     this.aimed = true;
     if (!this.particles) this.plotModes(estimate); // else the last cloud stays until the next is there
-    this.wanted = estimate;
-    if (this.fetching) return;
-    this.fetching = true;
-    while (this.wanted) {
-      const next = this.wanted;
-      this.wanted = null;
-      await this.fetch(next);
-      await new Promise((done) => setTimeout(done, LATEST_WAIT_MS));
-    }
-    this.fetching = false;
+    await this.newest.take(estimate);
   }
 
   async fetch(estimate) {

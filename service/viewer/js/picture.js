@@ -1,18 +1,21 @@
 // One picture of the service's, drawn in the frame's window: the frame itself, or what the model makes of it.
 import { pixelRatio } from "./gl.js";
+import { Newest } from "./newest.js";
 import { toned } from "./tone.js";
 
 export class Picture {
   // `wants(estimate)`: the name of the file to fetch, or null for none; `done(estimate, note)` after each fetch
   constructor(canvas, api, wants, done, restMs = 0) {
-    Object.assign(this, { canvas, api, wants, done, restMs });
+    Object.assign(this, { canvas, api, wants, done });
+    this.newest = new Newest((estimate) => this.fetch(estimate), restMs);
     this.tone = { gain: 1, colours: "grey" };
     this.reset(null);
   }
 
   reset(session) {
     this.session = session;
-    this.wanted = this.estimate = null;
+    this.newest.forget();
+    this.estimate = null;
     this.keep(null);
   }
 
@@ -27,18 +30,8 @@ export class Picture {
     this.shown = this.bitmap && toned(this.bitmap, tone.gain, tone.colours);
   }
 
-  // Newest wins: one picture is fetched at a time, what comes meanwhile replaces what waits.
   async show(estimate) {
-    this.wanted = estimate;
-    if (this.fetching) return;
-    this.fetching = true;
-    while (this.wanted) {
-      const next = this.wanted;
-      this.wanted = null;
-      await this.fetch(next);
-      if (this.restMs) await new Promise((done) => setTimeout(done, this.restMs));
-    }
-    this.fetching = false;
+    await this.newest.take(estimate);
   }
 
   async fetch(estimate) {
