@@ -13,7 +13,7 @@ from service.access.principal import tenant_of
 from service.api import schemas
 from service.api.auth import OperateModel, Operator, Reader, ReadModel
 from service.api.description import bytes_answered
-from service.api.paging import next_page, page_limit, page_response, problems
+from service.api.paging import page_limit, problems, stored_page
 from service.api.services import ServicesDep
 from service.errors import InputError, JointError, UnsupportedMediaTypeError
 from service.sessions.library import Upload
@@ -88,8 +88,8 @@ async def list_models(
 ) -> Response:
     """All models in order of upload."""
     limit = page_limit(limit, services.settings)
-    found, cursor = await services.library.page(caller.tenant, after, limit)
-    return page_response("models", found, next_page("/v1/models", cursor, limit))
+    page = await services.library.page(caller.tenant, after, limit)
+    return stored_page("models", page.records, page.damaged, page.cursor, limit)
 
 
 @router.get("/{model_id}", response_model=schemas.Model, responses=problems(404))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import orjson
@@ -30,9 +30,20 @@ def next_page(path: str, cursor: int | None, limit: int, more: str = "") -> str 
     return None if cursor is None else f"{path}?after={cursor}&limit={limit}{more}"
 
 
+def stored_page(
+    name: str, documents: Iterable[bytes], damaged: Sequence[str], cursor: int | None, limit: int
+) -> Response:
+    """A page of what ``/v1/{name}`` lists, with the ids of what is damaged."""
+    return _response(name, documents, damaged=damaged, next=next_page(f"/v1/{name}", cursor, limit))
+
+
 def page_response(name: str, documents: Iterable[bytes], following: str | None) -> Response:
     """A page of documents that are JSON already: nothing is parsed or checked again in the event loop."""
-    body = b'{"%s":[%s],"next":%s}' % (name.encode(), b",".join(documents), orjson.dumps(following))
+    return _response(name, documents, next=following)
+
+
+def _response(name: str, documents: Iterable[bytes], **more: Any) -> Response:
+    body = b'{"%s":[%s],%s' % (name.encode(), b",".join(documents), orjson.dumps(more)[1:])
     return Response(body, media_type="application/json")
 
 

@@ -182,9 +182,10 @@ class Model(Wire):
 
 
 class ModelList(Wire):
-    """A page of models."""
+    """A page of models, and the ids of those that are left out: what is stored of them is damaged."""
 
     models: list[Model]
+    damaged: list[str] = Field(default_factory=list)
     next: str | None
 
 
@@ -277,9 +278,10 @@ class Session(Wire):
 
 
 class SessionList(Wire):
-    """A page of sessions."""
+    """A page of sessions, and the ids of those that are left out: what is stored of them is damaged."""
 
     sessions: list[Session]
+    damaged: list[str] = Field(default_factory=list)
     next: str | None
 
 

@@ -12,7 +12,7 @@ from service.api.auth import OperateSession, Operator, Reader, ReadSession
 from service.api.bodies import read_json
 from service.api.forwarding import Call
 from service.api.moving import Moved, move
-from service.api.paging import next_page, page_limit, page_response, problems
+from service.api.paging import page_limit, problems, stored_page
 from service.api.services import ServicesDep
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
@@ -57,8 +57,8 @@ async def list_sessions(
 ) -> Response:
     """All sessions in order of creation."""
     limit = page_limit(limit, services.settings)
-    found, cursor = await services.archive.sessions(caller.tenant, after, limit)
-    return page_response("sessions", found, next_page("/v1/sessions", cursor, limit))
+    page = await services.archive.sessions(caller.tenant, after, limit)
+    return stored_page("sessions", page.records, page.damaged, page.cursor, limit)
 
 
 @router.get("/{session_id}", response_model=schemas.Session, responses=problems(404))

@@ -18,13 +18,16 @@ Key = Annotated[str | None, typer.Option(envvar="SKYPOSE_API_KEY", help="API key
 
 @contextmanager
 def connected(url: str, key: str | None) -> Iterator[Client]:
-    """A client of the service. What goes wrong is told in a line, with exit status 1."""
+    """A client of the service. What it warns of is told in a line; what goes wrong too, with exit status 1."""
+    import warnings
+
     import httpx
 
     from service.client import Client, ClientError
 
     try:
-        with Client(url, api_key=key) as client:
+        with warnings.catch_warnings(), Client(url, api_key=key) as client:
+            warnings.showwarning = lambda message, *_: typer.secho(f"{url}: {message}", fg="yellow", err=True)
             yield client
     except (ClientError, httpx.TransportError) as error:
         typer.secho(f"{url}: {str(error) or type(error).__name__}", fg="red", err=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import uuid
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -138,8 +139,15 @@ P = TypeVar("P", schemas.ModelList, schemas.SessionList, schemas.EstimateList)
 
 
 def page(kind: type[P], url: str, params: Mapping[str, Any]) -> Call[P]:
-    """A page of a list; its ``next`` is the next one's ``url``, without ``params``."""
-    return Call("GET", url, _json(kind), params)
+    """A page of a list; its ``next`` is the next one's ``url``, without ``params``. Warns of what is left out of it."""
+
+    def parse(response: httpx.Response) -> P:
+        found = _json(kind)(response)
+        if left_out := getattr(found, "damaged", []):  # estimates have none: there it is an error
+            warnings.warn(f"left out, for what is stored of them is damaged: {', '.join(left_out)}", stacklevel=4)
+        return found
+
+    return Call("GET", url, parse, params)
 
 
 def get_bytes(path: str, **params: Any) -> Call[bytes]:

@@ -24,7 +24,7 @@ from service.sessions.lighting import sun_in_image
 from service.sessions.particle_set import ParticleSet
 from service.sessions.smoothing import SmoothedPages
 from service.store import frames, models, sessions
-from service.store.base import ModelRecord, SessionRecord
+from service.store.base import ModelRecord, Page, SessionRecord
 from service.store.database import Database
 from service.store.scope import SessionKey, model_key, public_id, tenant_of
 from service.workers.base import OverlayJob, Shown
@@ -46,11 +46,11 @@ class Archive:
         """One session."""
         return session_document(await self.database.read(sessions.get, session_id))
 
-    async def sessions(self, tenant: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
-        """A tenant's sessions after a cursor as JSON, and the cursor of the next page or None."""
-        found = await self.database.read(sessions.page, tenant, after, limit + 1)
-        following = found[limit - 1].number if len(found) > limit else None
-        return [orjson.dumps(session_document(record)) for record in found[:limit]], following
+    async def sessions(self, tenant: str, after: int, limit: int) -> Page[bytes]:
+        """A tenant's sessions after a cursor as JSON."""
+        found = await self.database.read(sessions.page, tenant, after, limit)
+        documents = tuple(orjson.dumps(session_document(record)) for record in found.records)
+        return Page(documents, found.damaged, found.cursor)
 
     async def estimate(self, session_id: SessionKey, index: int | None) -> bytes:
         """The estimate of a frame (None: the newest) as JSON bytes."""

@@ -16,7 +16,7 @@ from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.symmetry import Symmetry
 from service.sessions.frame import format_time
 from service.store import models
-from service.store.base import NO_QUOTAS, ModelRecord, Quotas
+from service.store.base import NO_QUOTAS, ModelRecord, Page, Quotas
 from service.store.database import Database
 from service.store.scope import ModelKey, model_key, public_id
 from service.workers.base import MeshJob, ModelJob, ModelReport
@@ -105,11 +105,10 @@ class Library:
         record = await self._database.read(models.get, model_id)
         return await self._engine.mesh(record.tenant, MeshJob(record.blob_key, record.file_type), self._blob)
 
-    async def page(self, tenant: str, after: int, limit: int) -> tuple[list[bytes], int | None]:
-        """A tenant's models after a cursor as JSON, and the cursor of the next page or None."""
-        found = await self._database.read(models.page, tenant, after, limit + 1)
-        following = found[limit - 1].number if len(found) > limit else None
-        return await asyncio.to_thread(_jsons, found[:limit]), following
+    async def page(self, tenant: str, after: int, limit: int) -> Page[bytes]:
+        """A tenant's models after a cursor as JSON."""
+        found = await self._database.read(models.page, tenant, after, limit)
+        return Page(await asyncio.to_thread(_jsons, found.records), found.damaged, found.cursor)
 
     async def remove(self, model_id: ModelKey) -> None:
         """Delete a model. Raises ``NotFoundError``, or ``ModelInUseError`` while a session needs it."""
@@ -119,8 +118,8 @@ class Library:
         return await self._database.read(models.get_blob, key)
 
 
-def _jsons(records: Sequence[ModelRecord]) -> list[bytes]:
-    return [orjson.dumps(model_document(record)) for record in records]
+def _jsons(records: Sequence[ModelRecord]) -> tuple[bytes, ...]:
+    return tuple(orjson.dumps(model_document(record)) for record in records)
 
 
 def content_id(upload: Upload) -> str:

@@ -4,9 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from service.store.scope import DEFAULT_TENANT, ModelKey, SessionKey
+
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True)
+class Page(Generic[Record]):
+    """Rows in order of creation, and the cursor of the next page or None.
+
+    ``damaged``: ids of rows that are not as they were stored; they are left out.
+    """
+
+    records: tuple[Record, ...]
+    damaged: tuple[str, ...]
+    cursor: int | None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from typing import Any
 from sqlalchemy import Connection, Row, delete, func, insert, or_, select
 
 from service.errors import ModelInUseError, NotFoundError, QuotaExceededError
-from service.store.base import NO_QUOTAS, ModelRecord, Quotas
+from service.store.base import NO_QUOTAS, ModelRecord, Page, Quotas
+from service.store.pages import page_of
 from service.store.scope import ModelKey, public_id
 from service.store.seal import checked, record_values, row_of, sealed
 from service.store.signals import alone
@@ -41,11 +42,9 @@ def get(connection: Connection, model_id: ModelKey) -> ModelRecord:
     return record
 
 
-def page(connection: Connection, tenant: str, after: int, limit: int) -> list[ModelRecord]:
+def page(connection: Connection, tenant: str, after: int, limit: int) -> Page[ModelRecord]:
     """A tenant's models in order of creation, from number ``after`` on."""
-    query = select(models).where(models.c.tenant == tenant, models.c.number > after)
-    query = query.order_by(models.c.number).limit(limit)
-    return [_record(row) for row in connection.execute(query)]
+    return page_of(connection, models, get, tenant, after, limit)
 
 
 def remove(connection: Connection, model_id: ModelKey) -> None:

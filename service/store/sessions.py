@@ -10,8 +10,9 @@ from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, sel
 
 from service.errors import DamagedError, NotFoundError, QuotaExceededError, StaleOwnerError
 from service.store import instances, models
-from service.store.base import NO_QUOTAS, BackgroundRecord, Quotas, SessionRecord, SessionStamp, StoredContender
+from service.store.base import NO_QUOTAS, BackgroundRecord, Page, Quotas, SessionRecord, SessionStamp, StoredContender
 from service.store.instances import Instance
+from service.store.pages import page_of
 from service.store.scope import SessionKey, public_id
 from service.store.seal import checked, record_values, row_of, sealed
 from service.store.signals import Signal, alone, send
@@ -52,11 +53,9 @@ def get(connection: Connection, session_id: SessionKey, *, hold: bool = False) -
     return _with_models(connection, _record(row))
 
 
-def page(connection: Connection, tenant: str, after: int, limit: int) -> list[SessionRecord]:
+def page(connection: Connection, tenant: str, after: int, limit: int) -> Page[SessionRecord]:
     """A tenant's sessions in order of creation, from number ``after`` on."""
-    query = select(sessions).where(sessions.c.tenant == tenant, sessions.c.number > after)
-    query = query.order_by(sessions.c.number).limit(limit)
-    return [_with_models(connection, _record(row)) for row in connection.execute(query).all()]
+    return page_of(connection, sessions, get, tenant, after, limit)
 
 
 def holdings(connection: Connection, tenant: str) -> tuple[int, int]:

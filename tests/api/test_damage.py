@@ -3,6 +3,9 @@
 import pytest
 from api_client import running
 
+from service.api import schemas
+from service.remote.calls import page
+
 pytestmark = pytest.mark.anyio
 
 
@@ -36,6 +39,20 @@ async def test_a_changed_digit_is_an_error_and_not_an_answer(make_app):
         assert (repeated.status_code, repeated.json()["type"]) == (500, "urn:skypose:problem:damaged")
         assert (await api.http.get(f"{here}/estimates/0")).content == whole
         assert (await api.put(session_id, 3, 3)).status_code == 200
+
+
+async def test_a_list_leaves_out_what_is_damaged_and_names_it(make_app):
+    async with running(make_app()) as api:
+        damaged, whole = await api.ready_session(), await api.ready_session()
+        await spoil(api, f"UPDATE sessions SET name = 'other' WHERE id = '{damaged}'")
+        found = (await api.http.get("/v1/sessions")).json()
+        assert ([one["session_id"] for one in found["sessions"]], found["damaged"]) == ([whole], [damaged])
+        assert (await api.http.get(f"/v1/sessions/{damaged}")).status_code == 500
+        with pytest.warns(UserWarning, match=damaged):
+            page(schemas.SessionList, "/v1/sessions", {}).read(await api.http.get("/v1/sessions"))
+        await spoil(api, "UPDATE models SET name = 'other'")
+        found = (await api.http.get("/v1/models")).json()
+        assert (found["models"], len(found["damaged"])) == ([], 1)
 
 
 async def test_nothing_goes_on_from_a_damaged_state_and_it_can_be_deleted(make_app):

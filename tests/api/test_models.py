@@ -48,7 +48,7 @@ async def test_same_content_is_one_model(api):
 async def test_bad_upload_is_refused(api, files, data, status, slug):
     answer = await api.http.post("/v1/models", files=files, data=data)
     assert (answer.status_code, answer.json()["type"]) == (status, f"urn:skypose:problem:{slug}")
-    assert (await api.http.get("/v1/models")).json() == {"models": [], "next": None}
+    assert (await api.http.get("/v1/models")).json() == {"models": [], "damaged": [], "next": None}
 
 
 async def test_upload_must_be_a_form(api):

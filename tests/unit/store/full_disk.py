@@ -68,7 +68,7 @@ async def main(folder: Path) -> None:
     database = SqliteDatabase(folder, 1, reserve_bytes=8 << 20)
     await database.open()
     await database.free(sessions.remove, "b")
-    assert [one.id for one in await database.read(sessions.page, "default", 0, 9)] == ["c"]
+    assert [one.id for one in (await database.read(sessions.page, "default", 0, 9)).records] == ["c"]
     assert (await database.read(sessions.get, "c")).next_index == last + 1
     await database.close()
 

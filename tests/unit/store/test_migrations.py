@@ -38,14 +38,14 @@ async def test_rows_from_before_there_were_tenants(tmp_path):
     try:
         record = await database.read(sessions.get, session_key("default", "s"))
         assert (record.tenant, record.model_id) == ("default", "m")
-        assert [model.id for model in await database.read(models.page, "default", 0, 10)] == ["m"]
-        assert await database.read(models.page, "acme", 0, 10) == []
+        assert [model.id for model in (await database.read(models.page, "default", 0, 10)).records] == ["m"]
+        assert (await database.read(models.page, "acme", 0, 10)).records == ()
         # Two tenants may hold what is the same.
         theirs = ModelRecord(model_key("acme", "m"), "n", "glb", "b", {}, "t", tenant="acme")
         await database.write(models.add, theirs, b"\0")
         session = SessionRecord(session_key("acme", "s"), theirs.id, None, {}, (), "t", "t", tenant="acme")
         await database.write(sessions.add, session)
-        assert [found.id for found in await database.read(sessions.page, "acme", 0, 10)] == ["acme/s"]
+        assert [found.id for found in (await database.read(sessions.page, "acme", 0, 10)).records] == ["acme/s"]
         assert (public_id(session.id), tenant_of(session.id), tenant_of(record.id)) == ("s", "acme", "default")
         await database.write(api_keys.add, KeyRecord("k", "h", "acme", "read", "n", "t"))
         assert await database.read(api_keys.page, "default", 0, 10) == []

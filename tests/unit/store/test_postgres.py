@@ -125,7 +125,7 @@ async def test_quotas_hold_when_many_ask_at_once(database):
     asked = [database.write(sessions.add, session(f"s{n}"), Quotas(sessions=3)) for n in range(8)]
     answers = await asyncio.gather(*asked, return_exceptions=True)
     assert [type(answer) for answer in answers].count(QuotaExceededError) == 6
-    assert len(await database.read(sessions.page, "default", 0, 100)) == 3
+    assert len((await database.read(sessions.page, "default", 0, 100)).records) == 3
 
 
 async def test_a_session_has_one_owner_while_its_lease_lasts(database):

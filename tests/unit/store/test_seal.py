@@ -6,7 +6,7 @@ from test_database import KEEP, begin, frame
 
 from service.errors import DamagedError
 from service.store import checkpoints, frames, models, sessions
-from service.store.base import BackgroundRecord, FrameRecord, StoredContender
+from service.store.base import BackgroundRecord, FrameRecord, Page, SessionRecord, StoredContender
 from service.store.sqlite import SqliteDatabase
 
 pytestmark = pytest.mark.anyio
@@ -27,11 +27,11 @@ async def database(tmp_path, anyio_backend):
 
 READS = {
     "models.name = 'N'": (models.get, "m"),
-    "models.report = '{\"faces\": 1}'": (models.page, "default", 0, 10),
+    "models.report = '{\"faces\": 1}'": (models.get, "m"),
     "blobs.data = x'00'": (models.get_blob, "sky"),
     "sessions.config = '{\"seed\": 1}'": (sessions.get, "s"),
     "sessions.config = '{'": (sessions.claim, "s"),
-    "sessions.name = 'other'": (sessions.page, "default", 0, 10),
+    "sessions.name = 'other'": (sessions.get, "s"),
     "backgrounds.sha256 = 'x'": (sessions.find_background, "s", "b"),
     "frames.sha256 = 'h1'": (frames.find, "s"),
     "frames.media_type = 'image/jpeg'": (frames.body, "s", 2),
@@ -80,4 +80,15 @@ async def test_a_compared_model_is_sealed_and_a_checkpoint_of_damaged_rows_is_no
 async def test_what_is_damaged_can_be_deleted(database):
     await database.write(lambda c: c.execute(text("UPDATE sessions SET config = '[]'")) and None)
     await database.write(sessions.remove, "s")
-    assert await database.read(sessions.page, "default", 0, 10) == []
+    assert await database.read(sessions.page, "default", 0, 10) == Page((), (), None)
+
+
+@pytest.mark.parametrize("change", ["name = 'other'", "config = '{'"])
+async def test_a_damaged_row_does_not_hide_the_others_of_its_page(database, change):
+    await database.write(sessions.add, SessionRecord("after", "m", None, {}, (), "t", "t"))
+    await database.write(lambda c: c.execute(text(f"UPDATE sessions SET {change} WHERE id = 's'")) and None)
+    found = await database.read(sessions.page, "default", 0, 10)
+    assert ([one.id for one in found.records], found.damaged, found.cursor) == (["after"], ("s",), None)
+    first = await database.read(sessions.page, "default", 0, 1)
+    assert (first.records, first.damaged) == ((), ("s",))
+    assert (await database.read(sessions.page, "default", first.cursor, 1)).records == found.records
