@@ -34,7 +34,8 @@ from service.inference.model.likelihood import terms_of
 from service.inference.model.search import Found, make_bank, search
 from service.inference.model.stages import Body, Sight
 from service.inference.model.templates import Bank
-from service.inference.numerics.gauss_newton import Hill, Refined, ascend
+from service.inference.numerics.gauss_newton import ascend
+from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, concatenate, retract
 from service.inference.state import Array, Poses

@@ -13,7 +13,8 @@ from scipy import stats
 from service.inference.model import prior
 from service.inference.model.derivatives import across
 from service.inference.model.drawing import Quality
-from service.inference.numerics.gauss_newton import Hill, ascend
+from service.inference.numerics.gauss_newton import ascend
+from service.inference.numerics.hill import Hill
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import local, retract
 

@@ -10,7 +10,7 @@ from service.inference.domain import Domain
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.stages import Body, Sight
 from service.inference.model.templates import Bank
-from service.inference.numerics.gauss_newton import Refined
+from service.inference.numerics.hill import Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.params import SessionConfig
 from service.inference.state import Array, Poses

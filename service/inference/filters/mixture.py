@@ -21,14 +21,15 @@ from service.inference.model.nuisance import Nuisance
 from service.inference.model.search import Found, search
 from service.inference.model.stages import FINEST, Stage, stage_hill
 from service.inference.motion import MotionNoise, motion_noise
-from service.inference.numerics.gauss_newton import Hill, Refined, Trust, ascend, within
+from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
+from service.inference.numerics.hill import Hill, Refined, Trust
 from service.inference.numerics.priors import Believed
 from service.inference.pose import concatenate, retract
 from service.inference.state import Estimate, FilterState, Mixture, Poses
 from service.inference.symmetry import twin
 
 FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as fine as a track is followed
-LEADER_STEPS, OTHERS_STEPS = 2, 1
+_ENOUGH, _ENOUGH_OF_OTHERS = 1.0, 1 / prior.EVIDENCE_TRUST  # nats: of a step after which a mode is at its best
 _LEAST = 1e-3  # probability below which a mode is dropped
 _EAGER = 3  # searches of a leader, one frame after the other
 _RARER, _RAREST = 3, 100  # each search that could not better the leader makes the next so much rarer; frames
@@ -127,8 +128,9 @@ def ground(
 
 
 def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far: bool) -> list[Refined]:
-    """Each mode at its best under what was expected of it and what the frame says; the leader two steps, others one.
+    """Each mode at its best under what was expected of it and what the frame says.
 
+    None is weighed before it is there: what its next step would gain is worth less than a factor e of its weight.
     ``far``: all climb as far as what a search finds: beside that, and when they may be back after an absence.
     """
     if ahead is None:
@@ -136,10 +138,10 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     d = ahead.rates.shape[1]
     precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
     poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
-    steps = np.full(len(poses), FINEST.steps if far else OTHERS_STEPS)
-    steps[np.argmax(ahead.log_weights)] = FINEST.steps if far else LEADER_STEPS
+    enough = np.full(len(poses), ENOUGH if far else _ENOUGH_OF_OTHERS)
+    enough[np.argmax(ahead.log_weights)] = ENOUGH if far else _ENOUGH
     believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
-    return ascend(hill, poses, ahead.suns, steps=steps, covariance="last", believed=believed)
+    return ascend(hill, poses, ahead.suns, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
 
 
 def missed_by(before: Mixture, updated: Updated) -> bool:

@@ -16,7 +16,7 @@ from service.inference.model.dynamics import corrected, new_born
 from service.inference.model.nuisance import Nuisance, log_prior, nudged
 from service.inference.model.search import Found
 from service.inference.motion import MotionNoise
-from service.inference.numerics.gauss_newton import Hill, Refined
+from service.inference.numerics.hill import Hill, Refined
 from service.inference.pose import angle_between
 from service.inference.state import Array, Mixture
 

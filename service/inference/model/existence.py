@@ -9,7 +9,7 @@ from scipy.special import betaln
 
 from service.inference.model import prior
 from service.inference.model.likelihood import Fit, Images
-from service.inference.numerics.gauss_newton import Hill
+from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Goodness
 
 ABSENT, FITS, NO_FIT = range(3)

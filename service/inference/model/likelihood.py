@@ -38,6 +38,7 @@ class Scene:
     discrepancy: float = prior.DISCREPANCY  # tau
     shifts: bool = True  # whether speckle and image shifts are unknowns: not worth their time in a coarse look
     low_pass: float = 0.0  # l, px; 0: as the point spread asks
+    grain: float = 1.0  # px in which lengths of the discrepancy are told: a patch may be coarser where all is blurred
     light: prior.LightPrior = field(default_factory=prior.LightPrior)
 
     @property
@@ -65,7 +66,7 @@ class Scene:
     @cached_property
     def alike(self) -> float:
         """c: pixels' areas over which the discrepancy is alike."""
-        return max(prior.DISCREPANCY_LEAST, prior.DISCREPANCY_LENGTH**2 / self.area)
+        return max(prior.DISCREPANCY_LEAST, (self.grain * prior.DISCREPANCY_LENGTH) ** 2 / self.area)
 
     @cached_property
     def full(self) -> NDArray[np.bool_]:
@@ -150,7 +151,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
         hidden=scene.hidden,
         area=scene.area,
         wrong=scene.alike * scene.discrepancy**2,
-        edge=prior.EDGE_PX,
+        edge=scene.grain * prior.EDGE_PX,
         width=scene.point_spread.width,
         gain=scene.gain,
         speckle=speckle,

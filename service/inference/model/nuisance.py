@@ -9,7 +9,7 @@ import numpy as np
 from service.inference.model import prior
 from service.inference.model.likelihood import Images
 from service.inference.model.spread import PointSpread
-from service.inference.numerics.gauss_newton import Hill
+from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Poses
 
 _CORES = tuple(float(v) for v in np.geomspace(0.4, 4.0, 12))  # px of the frame

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.inference.model import bank as banks
+from service.inference.model.candidates import SHARED_DEG, Candidates, best_of, climbed, distinct, joined, scored
 from service.inference.model.drawing import Drawing
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
 from service.inference.model.stages import (
@@ -21,20 +21,21 @@ from service.inference.model.stages import (
     Body,
     PatchLike,
     Sight,
-    Stage,
     stage_hill,
 )
 from service.inference.model.templates import Bank, directions
-from service.inference.numerics.gauss_newton import Hill, Refined, ascend, within
+from service.inference.numerics.gauss_newton import ascend, within
+from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate, retract
 from service.inference.state import Array, Poses
 
 BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, three times at the most
 _PER_KIND = 80  # templates of each kind that are looked at with the likelihood
-_SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
 _SAME_DEG = 2.0  # after refinement
-_SHAKEN, _SHAKEN_KEPT, _SHAKEN_RAD = 24, 2, 0.12  # poses around the best, how many climb, how far about they lie
+_SHAKEN, _SHAKEN_RAD, _ALONG_RAD = 24, 0.12, 0.2  # poses around the best, how far about they lie, how far along
+_ABOUT, _ALONG, _SHAKEN_KEPT = 2, 5, 2  # of either kind, how many are tried; how many of all climb to the end
+_BETTER = 1.0  # nats: what a basin may be bettered by without another look
 _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06  # about half a step of the bank's, each axis
 _TRIAL_STEPS, _HOPELESS = 2, 100.0  # of the finest stage; nats behind the best after them: none comes back from there
 _MIRRORED = 3  # of the best, whose symmetry-equivalents are looked at
@@ -53,18 +54,6 @@ class Found:
     basins: list[Refined]
     hill: Hill
     nuisance: Nuisance  # frame px
-
-
-@dataclass(frozen=True)
-class Candidates:
-    """Poses on their way, each with its Sun."""
-
-    poses: Poses
-    suns: Array  # (N, 3)
-    found: Array  # (N,) log posterior at the last stage; -inf: not looked at
-
-    def __getitem__(self, index: NDArray[np.intp]) -> Candidates:
-        return Candidates(self.poses[index], self.suns[index], self.found[index])
 
 
 def search(
@@ -104,12 +93,12 @@ def search(
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
         again = under(hill, some[np.arange(min(_LIT_ANEW, len(some.found)))], _MORE_SUNS)
-        some = best_of(_joined([some, *again]), SHARP.kept, _SHARED_DEG)
+        some = best_of(joined([some, *again]), SHARP.kept, SHARED_DEG)
     if alike is not None:
         first = some[np.arange(min(_MIRRORED, len(some.found)))]
         poses = alike(first.poses)
         suns = np.tile(first.suns, (len(poses) // len(first.poses), 1))
-        some = _joined([some, Candidates(poses, suns, np.full(len(poses), -np.inf))])
+        some = joined([some, Candidates(poses, suns, np.full(len(poses), -np.inf))])
     return finished(body, sight, some, nuisance, told)
 
 
@@ -129,7 +118,7 @@ def started(
     if rng is not None:
         some = jittered(rng, some, body.rough)
     hill = stage_hill(body.rough, sight, ROUGH, nuisance, told, speckle=False)
-    some = best_of(scored(hill, some), len(some.found), _SHARED_DEG)
+    some = best_of(scored(hill, some), len(some.found), SHARED_DEG)
     more = 1 + min(2, some.poses.joints.shape[1])  # joints ask for as many again
     some = climbed(hill, varied(hill, some), replace(FIRST, kept=more * FIRST.kept))
     return climbed(hill, varied(hill, some), replace(ROUGH, kept=more * ROUGH.kept))
@@ -165,27 +154,50 @@ def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, tol
     poses, suns = concatenate(*[one.pose for one in out]), np.stack([one.sun for one in out])
     out = ascend(hill, poses, suns, steps=FINEST.steps - _TRIAL_STEPS, covariance="last")
     out.sort(key=lambda one: -one.log_posterior)
-    near = shaken(hill, out[0])
-    out += ascend(hill, near.poses, near.suns, steps=FINEST.steps, covariance="last")
+    out += shaken(hill, out[0])
     out.sort(key=lambda one: -one.log_posterior)
     kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(_SAME_DEG))
     return Found([out[k] for k in kept], hill, nuisance)
 
 
-def shaken(hill: Hill, one: Refined) -> Candidates:
-    """The best of what lies some degrees around a pose: what was flat while it was coarse is rough when it is fine."""
+def shaken(hill: Hill, one: Refined) -> list[Refined]:
+    """The best of what lies around a pose: what was flat while it was coarse is rough when it is fine.
+
+    Some lie some degrees about it in every direction. More lie along its own covariance, widened: turn, place and size
+    make up for each other, and such a valley may have several bottoms.
+    """
     d = 6 + one.pose.joints.shape[1]
-    steps = np.random.default_rng(_SHAKEN).standard_normal((_SHAKEN, d))
-    steps[:, :3] *= _SHAKEN_RAD
-    steps[:, 3:5] *= 0.1 * _SHAKEN_RAD * hill.drawing.radius * np.exp(one.pose.log_scale)
-    steps[:, 5] *= 0.2 * _SHAKEN_RAD
-    steps[:, 6:] *= np.rad2deg(_SHAKEN_RAD)
-    start = one.pose[np.zeros(_SHAKEN, dtype=np.intp)]
+    drawn = np.random.default_rng(_SHAKEN).standard_normal((2, _SHAKEN, d))
+    about, along = drawn[0], drawn[1]
+    about[:, :3] *= _SHAKEN_RAD
+    about[:, 3:5] *= 0.1 * _SHAKEN_RAD * hill.drawing.radius * np.exp(one.pose.log_scale)
+    about[:, 5] *= 0.2 * _SHAKEN_RAD
+    about[:, 6:] *= np.rad2deg(_SHAKEN_RAD)
+    values, vectors = np.linalg.eigh(one.covariance)
+    turn = np.sqrt(np.linalg.eigvalsh(one.covariance[:3, :3])[-1])
+    along = along * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * (_ALONG_RAD / turn)
+    rough = replace(hill, quality=CLEAR.quality)  # good enough to choose
+    near = joined([around(rough, one, steps)[:most] for steps, most in ((about, _ABOUT), (along, _ALONG))])
+    out = ascend(hill, near.poses, near.suns, steps=_TRIAL_STEPS, covariance="none")
+    out = sorted(out, key=lambda tried: -tried.log_posterior)[:_SHAKEN_KEPT]
+    out = [tried for tried in out if tried.log_posterior > one.log_posterior + _BETTER or apart(tried, one)]
+    if not out:
+        return []
+    poses, suns = concatenate(*[tried.pose for tried in out]), np.stack([tried.sun for tried in out])
+    return ascend(hill, poses, suns, steps=FINEST.steps, covariance="last")
+
+
+def apart(one: Refined, other: Refined) -> bool:
+    """Whether two poses are two basins."""
+    return len(distinct(concatenate(one.pose, other.pose), np.deg2rad(_SAME_DEG))) > 1
+
+
+def around(hill: Hill, one: Refined, steps: Array) -> Candidates:
+    """A pose's neighbours, best first."""
+    start = one.pose[np.zeros(len(steps), dtype=np.intp)]
     moved = retract(start, steps)
     moved = replace(moved, joints=within(hill.drawing, moved.joints))
-    rough = replace(hill, quality=CLEAR.quality)  # good enough to choose
-    around = scored(rough, Candidates(moved, np.tile(one.sun, (_SHAKEN, 1)), np.zeros(_SHAKEN)))
-    return around[np.arange(_SHAKEN_KEPT)]
+    return scored(hill, Candidates(moved, np.tile(one.sun, (len(steps), 1)), np.zeros(len(steps))))
 
 
 def bank_size(n_joints: int) -> int:
@@ -210,7 +222,7 @@ def propose(bank: Bank, patch: PatchLike, told: PosePrior) -> Candidates:
     for k, here in enumerate(poses):
         order = np.argsort(-scores[k])[: 3 * _PER_KIND]
         order = order[scores[k][order] > 0]
-        order = order[distinct(here[order], np.deg2rad(_SHARED_DEG))][:_PER_KIND]
+        order = order[distinct(here[order], np.deg2rad(SHARED_DEG))][:_PER_KIND]
         chosen.append(here[order])
         suns.append(bank.suns[order])
     found = concatenate(*chosen)
@@ -219,32 +231,13 @@ def propose(bank: Bank, patch: PatchLike, told: PosePrior) -> Candidates:
     return Candidates(placed, np.concatenate(suns), np.full(len(placed), -np.inf))
 
 
-def scored(hill: Hill, some: Candidates) -> Candidates:
-    """The same with their log posteriors on a hill, best first."""
-    planes = hill.drawing.planes(some.poses, some.suns, hill.view, hill.quality)
-    found = hill.log_evidences(planes) + log_prior(some.poses, hill.told)
-    return Candidates(some.poses, some.suns, found)[np.argsort(-found)]
-
-
-def climbed(hill: Hill, some: Candidates, stage: Stage) -> Candidates:
-    """The best basins after a few steps of Gauss-Newton, best first."""
-    some = best_of(some, stage.kept, _SHARED_DEG)
-    out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance="none")
-    moved = Candidates(
-        concatenate(*[one.pose for one in out]),
-        np.stack([one.sun for one in out]),
-        np.array([one.log_posterior for one in out]),
-    )
-    return best_of(moved, len(out), _SHARED_DEG)
-
-
 def varied(hill: Hill, some: Candidates) -> Candidates:
     """What does not move is found first: with other joint values, and other Suns where none is told, it may fit."""
-    some = best_of(some, len(some.found), _SHARED_DEG)
+    some = best_of(some, len(some.found), SHARED_DEG)
     tried, joints = [some], hill.drawing.articulation.joints
     together = [range(len(joints))] if len(joints) <= _TOGETHER else [[k] for k in range(len(joints))]
     for chosen in together if joints else ():
-        few = best_of(_joined(tried), _TRIED // len(chosen), _SHARED_DEG)
+        few = best_of(joined(tried), _TRIED // len(chosen), SHARED_DEG)
         count = _VALUES[min(len(chosen), len(_VALUES)) - 1]
         for at in np.ndindex(*[count] * len(chosen)):
             values = few.poses.joints.copy()
@@ -252,45 +245,11 @@ def varied(hill: Hill, some: Candidates) -> Candidates:
                 values[:, k] = joints[k].minimum + (place + 0.5) / count * (joints[k].maximum - joints[k].minimum)
             tried.append(scored(hill, replace(few, poses=replace(few.poses, joints=values))))
     if hill.told.towards_sun is None:
-        tried += under(hill, best_of(_joined(tried), _TRIED, _SHARED_DEG), _SUNS)
-    return _joined(tried)
+        tried += under(hill, best_of(joined(tried), _TRIED, SHARED_DEG), _SUNS)
+    return joined(tried)
 
 
 def under(hill: Hill, some: Candidates, count: int) -> list[Candidates]:
     """The same poses under each of so many Suns."""
     suns = (np.tile(sun, (len(some.found), 1)) for sun in directions(count))
     return [scored(hill, replace(some, suns=sun)) for sun in suns]
-
-
-def _joined(several: Sequence[Candidates]) -> Candidates:
-    return Candidates(
-        concatenate(*[one.poses for one in several]),
-        np.concatenate([one.suns for one in several]),
-        np.concatenate([one.found for one in several]),
-    )
-
-
-def best_of(some: Candidates, kept: int, degrees: float) -> Candidates:
-    """The best of each basin, best first."""
-    order = np.argsort(-some.found)
-    order = order[distinct(some.poses[order[: 12 * kept]], np.deg2rad(degrees))][:kept]
-    return some[order]
-
-
-def distinct(poses: Poses, apart: float) -> NDArray[np.intp]:
-    """Indices of those that are no nearer than ``apart`` (rad) to one before them."""
-    kept = np.empty(len(poses), dtype=np.intp)
-    held, count = np.empty((len(poses), 4)), 0
-    near = np.cos(0.5 * apart)  # of the angle between two quaternions that far apart
-    for k, quaternion in enumerate(poses.quaternion):
-        if not count or np.abs(held[:count] @ quaternion).max() < near:
-            kept[count], held[count] = k, quaternion
-            count += 1
-    return kept[:count]
-
-
-def log_prior(poses: Poses, told: PosePrior) -> Array:
-    """(N,) of the scale."""
-    if told.log_scale is None:
-        return np.zeros(len(poses))
-    return np.asarray(-0.5 * ((poses.log_scale - told.log_scale) / told.log_scale_sigma) ** 2)

@@ -5,69 +5,26 @@ Many poses climb at once: each round draws all that their derivatives need in on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model.derivatives import across, derivatives
-from service.inference.model.drawing import FINE, Drawing, Quality, View
-from service.inference.model.likelihood import ROUNDS, Fit, Images, Scene, terms_of
+from service.inference.model.drawing import Drawing
+from service.inference.model.likelihood import Fit, Images, terms_of
 from service.inference.model.paint import painted
 from service.inference.model.prior import CHI2_DEGREES_OF_FREEDOM, POSE_DEGREES_OF_FREEDOM
+from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
 
-_ENOUGH = 0.1  # nats: a step that gains less is the last
+ENOUGH = 0.1  # nats: a step that gains less is the last
 _ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
 _SHORTER = 0.3  # of a step that did not climb
 _DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull", "lit")
-
-
-@dataclass(frozen=True)
-class Trust:
-    """How far one step may go, as the standard deviations of a prior on it: linear no further."""
-
-    turn: float = 0.1  # rad
-    place: float = 0.1  # of the body's radius
-    log_scale: float = 0.1
-    joint: float = 0.15  # rad, or share of the range
-
-
-@dataclass(frozen=True)
-class Hill:
-    """What poses climb on."""
-
-    scene: Scene
-    drawing: Drawing
-    view: View
-    told: PosePrior
-    quality: Quality = FINE
-    difference: float = 0.5  # patch px by which a difference moves the body's rim
-    sun_free: bool = True
-    rounds: int = ROUNDS
-    trust: Trust = Trust()
-
-    def log_evidences(self, planes: Images, scene: Scene | None = None, paint: Array | None = None) -> Array:
-        """(N,) of drawn poses (N, Q, S, S). ``scene``: not the hill's own; ``paint`` (2, P): as they should have it."""
-        terms = terms_of(scene or self.scene, self.drawing.n_groups, planes.shape[1])
-        terms = terms if paint is None else painted(terms, paint[None])
-        found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms, self.rounds)
-        return np.asarray(found.log_evidence, np.float64)
-
-
-@dataclass(frozen=True)
-class Refined:
-    """A pose, the Sun it goes with, its light, and the covariance of (rx, ry, rz, x, y, log scale, joints)."""
-
-    pose: Poses  # one
-    sun: Array  # (3,)
-    sun_sigma: float  # rad, each axis across it
-    fit: Fit
-    log_posterior: float  # evidence, and the prior of scale and Sun
-    covariance: Array  # (6 + J, 6 + J) rad, frame px, log, deg or model units
 
 
 def ascend(
@@ -75,24 +32,30 @@ def ascend(
     poses: Poses,
     suns: Array,
     *,
-    steps: int | NDArray[np.intp],
+    steps: int,
     covariance: Literal["exact", "last", "none"] = "exact",
     believed: Believed | None = None,
+    enough: float | Array = ENOUGH,
 ) -> list[Refined]:
-    """Climb from N poses, each with its Sun (N, 3); ``steps`` at the most, (N,) if each its own. In the order given.
+    """Climb from N poses, each with its Sun (N, 3), ``steps`` at the most. In the order given.
 
+    ``enough``: nats, (N,) if each its own: the last step is the one that gains less, or to so much what the slopes at
+    its start promise of the top.
     ``covariance``: at the end, at the place of the last step's start (which is cheaper), or none.
     """
     suns, d = suns.copy(), 6 + poses.joints.shape[1]
     fits, scores = _look(hill, poses, suns, believed, np.arange(len(poses)))
     curvatures: list[Array] = [np.full((d, d), np.nan)] * len(poses)
     going = np.ones(len(poses), dtype=bool)
-    most = np.broadcast_to(steps, len(poses))
-    for taken in range(int(most.max(initial=0))):
-        at = np.flatnonzero(going & (most > taken))
+    least = np.broadcast_to(enough, len(poses))
+    slopes: dict[np.intp, Images] = {}
+    shifted = np.zeros(len(poses))  # patch px by which a rim moved since its slopes were drawn
+    for _ in range(steps):
+        at = np.flatnonzero(going)
         if not len(at):
             break
-        systems = _systems(hill, poses[at], suns[at], [fits[k] for k in at], believed, at)
+        _renew(slopes, shifted, hill, at, poses, suns, fits)
+        systems = _systems(hill, poses[at], suns[at], [fits[k] for k in at], [slopes[k] for k in at], believed, at)
         for k, (_, _, curvature) in zip(at, systems, strict=True):
             curvatures[k] = curvature
         damping = _damping(hill, poses[at])
@@ -109,17 +72,47 @@ def ascend(
             poses = _replaced(poses, left[better], trial[better])
             suns[left[better]] = trial_suns[better]
             scores[left[better]] = trial_scores[better]
+            shifted[left[better]] += _rim_shift(hill, poses[left[better]], share * moves[chosen[better]])
             for k in better:
                 fits[left[k]] = trial_fits[k]
-        going[at] = scores[at] > before + _ENOUGH
+        gained = scores[at] - before
+        promised = np.array([0.5 * p @ np.linalg.solve(c, p) for c, p, _ in systems])
+        going[at] = np.minimum(gained, np.abs(promised - gained)) > least[at]
     if covariance == "exact":
-        curvatures = [c for _, _, c in _systems(hill, poses, suns, fits, believed, np.arange(len(poses)))]
+        last = list(_slopes(hill, poses, suns, fits))
+        curvatures = [c for _, _, c in _systems(hill, poses, suns, fits, last, believed, np.arange(len(poses)))]
     whole = [c if covariance == "none" else _inverse(c) for c in curvatures]
     sun_sigmas = [_sun_sigma(hill, spread, d) for spread in whole]
     return [
         Refined(poses[k : k + 1], suns[k], sun_sigmas[k], fits[k], float(scores[k]), whole[k][:d, :d])
         for k in range(len(poses))
     ]
+
+
+def _renew(
+    slopes: dict[np.intp, Images],
+    shifted: Array,
+    hill: Hill,
+    at: NDArray[np.intp],
+    poses: Poses,
+    suns: Array,
+    fits: list[Fit],
+) -> None:
+    """Slopes of those that moved further since theirs were drawn than the differences that they are made of."""
+    old = at[[k not in slopes or shifted[k] > hill.difference for k in at]]
+    if len(old):
+        slopes.update(zip(old, _slopes(hill, poses[old], suns[old], [fits[k] for k in old]), strict=True))
+        shifted[old] = 0.0
+
+
+def _rim_shift(hill: Hill, poses: Poses, moves: Array) -> Array:
+    """(N,) patch px by which such moves (N, D) shift the rim at the most."""
+    rim = hill.drawing.radius * np.exp(poses.log_scale) / hill.view.binning
+    turned = [np.linalg.norm(moves[:, :3], axis=1), np.abs(moves[:, 5])]
+    for k, joint in enumerate(hill.drawing.articulation.joints, 6):
+        one = np.deg2rad(1.0) if joint.kind == "revolute" else 1 / hill.drawing.radius
+        turned.append(one * np.abs(moves[:, k]))
+    return np.asarray(rim * np.sum(turned, axis=0) + np.linalg.norm(moves[:, 3:5], axis=1) / hill.view.binning)
 
 
 def _sun_sigma(hill: Hill, spread: Array, d: int) -> float:
@@ -173,6 +166,7 @@ def _systems(
     poses: Poses,
     suns: Array,
     fits: list[Fit],
+    slopes: Sequence[Images],
     believed: Believed | None = None,
     at: NDArray[np.intp] | None = None,
 ) -> list[tuple[Array, Array, Array]]:
@@ -182,7 +176,6 @@ def _systems(
 
     D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
     """
-    slopes = _slopes(hill, poses, suns, fits)
     known = None if believed is None or at is None else believed.paint[at, 1]
     found = [
         _system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k], None if known is None else known[k])

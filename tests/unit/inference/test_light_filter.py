@@ -25,7 +25,7 @@ from service.inference.model.search import make_bank
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import Body
 from service.inference.motion import motion_noise
-from service.inference.numerics.gauss_newton import Refined
+from service.inference.numerics.hill import Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, retract
 from service.inference.state import FilterState, Mixture, Poses

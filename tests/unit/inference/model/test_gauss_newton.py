@@ -11,16 +11,8 @@ from service.inference.model.derivatives import across, steps_of
 from service.inference.model.drawing import Quality
 from service.inference.model.likelihood import ROUNDS, Scene
 from service.inference.model.spread import spread
-from service.inference.numerics.gauss_newton import (
-    Hill,
-    Refined,
-    _look,
-    _moved,
-    _systems,
-    ascend,
-    scale_seen,
-    within,
-)
+from service.inference.numerics.gauss_newton import _look, _moved, _slopes, _systems, ascend, scale_seen, within
+from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import local, retract
 from service.inference.state import Poses
@@ -77,7 +69,7 @@ def test_slope_and_curvature_are_those_of_the_posterior_at_fixed_weights():
     sun /= np.linalg.norm(sun)
     start = moved(0.004, -0.005, 0.004, 0.06, -0.05, 0.002, 1.0)
     fits, _ = _look(on, start, sun[None])
-    curvature, slope, stated = _systems(on, start, sun[None], fits)[0]
+    curvature, slope, stated = _systems(on, start, sun[None], fits, _slopes(on, start, sun[None], fits))[0]
     assert stated == pytest.approx(curvature / scale_seen(fits[0].chi2), rel=0.02, abs=0.02 * np.abs(curvature).max())
     turn, joint = steps_of(on.drawing, on.view, on.difference, start)
     step = np.array([turn[0]] * 3 + [on.difference] * 2 + [turn[0], joint[0, 0], 0.03, 0.03])

@@ -7,7 +7,7 @@ import pytest
 from lit_body import QUALITY, SUN, VIEW, lit_body, pose, scene, seen, shares
 
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
-from service.inference.numerics.gauss_newton import Hill
+from service.inference.numerics.hill import Hill
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate, retract
 from service.inference.state import Poses

@@ -10,27 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from service.imaging.patch import Light, Patch, cut, find_light
 from service.inference.model import search as searching
+from service.inference.model.candidates import Candidates, best_of, distinct, log_prior, scored
 from service.inference.model.drawing import View
 from service.inference.model.nuisance import Nuisance
-from service.inference.model.search import (
-    Candidates,
-    Found,
-    best_of,
-    distinct,
-    log_prior,
-    make_bank,
-    propose,
-    scored,
-    search,
-    shaken,
-    varied,
-)
+from service.inference.model.search import Found, make_bank, propose, search, shaken, varied
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import FINEST, ROUGH, Body, Sight, stage_hill
 from service.inference.model.templates import Bank
-from service.inference.numerics.gauss_newton import Hill, ascend
+from service.inference.numerics.gauss_newton import ascend
+from service.inference.numerics.hill import Hill
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import angle_between, exp_so3
+from service.inference.pose import angle_between, exp_so3, retract
 from service.inference.state import Poses
 
 SIGMA, SIZE = 4.0, 144
@@ -137,15 +127,17 @@ def test_a_sight_that_is_hardly_wider_is_not_looked_at():
     assert search(body(False), dark, bank(False), known, replace(wide, span=400.0)).basins == []
 
 
-def test_what_lies_around_a_pose_is_shaken_out_best_first():
+def test_a_basin_beside_the_truth_is_left_by_shaking_and_the_truth_is_not():
     at = replace(truth(4, True), joints=np.array([[179.0]]))
     hill = rough_hill(sight_of(at))
-    one = ascend(hill, at, SUN[None], steps=0)[0]
-    near = shaken(hill, one)
-    assert len(near.found) == 2 and near.found[0] >= near.found[1]
-    assert near.suns == pytest.approx(np.tile(one.sun, (2, 1)))
-    assert (off_deg(near.poses, at) < 30.0).all() and (off_deg(near.poses, at) > 0.0).all()
-    assert (np.abs(near.poses.joints) <= 180.0).all()
+    beside = retract(at, 0.25 * np.eye(7)[1:2])
+    one = ascend(hill, beside, SUN[None], steps=1, covariance="last")[0]
+    best = max(shaken(hill, one), key=lambda found: found.log_posterior)
+    assert best.log_posterior > one.log_posterior + 1.0
+    assert off_deg(best.pose, at)[0] < off_deg(one.pose, at)[0]
+    assert abs(best.pose.joints[0, 0]) <= 180.0
+    top = ascend(hill, best.pose, best.sun[None], steps=20, covariance="last")[0]
+    assert all(found.log_posterior < top.log_posterior + 1.0 for found in shaken(hill, top))
 
 
 def test_joints_are_found_with_it():

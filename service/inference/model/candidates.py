@@ -1,0 +1,84 @@
+"""Poses on their way through a search, best first (docs/model.md, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.model.stages import Stage
+from service.inference.numerics.gauss_newton import ascend
+from service.inference.numerics.hill import Hill
+from service.inference.numerics.priors import PosePrior
+from service.inference.pose import concatenate
+from service.inference.state import Array, Poses
+
+SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Poses on their way, each with its Sun."""
+
+    poses: Poses
+    suns: Array  # (N, 3)
+    found: Array  # (N,) log posterior at the last stage; -inf: not looked at
+
+    def __getitem__(self, index: NDArray[np.intp] | slice) -> Candidates:
+        return Candidates(self.poses[index], self.suns[index], self.found[index])
+
+
+def scored(hill: Hill, some: Candidates) -> Candidates:
+    """The same with their log posteriors on a hill, best first."""
+    planes = hill.drawing.planes(some.poses, some.suns, hill.view, hill.quality)
+    found = hill.log_evidences(planes) + log_prior(some.poses, hill.told)
+    return Candidates(some.poses, some.suns, found)[np.argsort(-found)]
+
+
+def climbed(hill: Hill, some: Candidates, stage: Stage) -> Candidates:
+    """The best basins after a few steps of Gauss-Newton, best first."""
+    some = best_of(some, stage.kept, SHARED_DEG)
+    out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance="none")
+    moved = Candidates(
+        concatenate(*[one.pose for one in out]),
+        np.stack([one.sun for one in out]),
+        np.array([one.log_posterior for one in out]),
+    )
+    return best_of(moved, len(out), SHARED_DEG)
+
+
+def joined(several: Sequence[Candidates]) -> Candidates:
+    """All of them, in the order given."""
+    return Candidates(
+        concatenate(*[one.poses for one in several]),
+        np.concatenate([one.suns for one in several]),
+        np.concatenate([one.found for one in several]),
+    )
+
+
+def best_of(some: Candidates, kept: int, degrees: float) -> Candidates:
+    """The best of each basin, best first."""
+    order = np.argsort(-some.found)
+    order = order[distinct(some.poses[order[: 12 * kept]], np.deg2rad(degrees))][:kept]
+    return some[order]
+
+
+def distinct(poses: Poses, apart: float) -> NDArray[np.intp]:
+    """Indices of those that are no nearer than ``apart`` (rad) to one before them."""
+    kept = np.empty(len(poses), dtype=np.intp)
+    held, count = np.empty((len(poses), 4)), 0
+    near = np.cos(0.5 * apart)  # of the angle between two quaternions that far apart
+    for k, quaternion in enumerate(poses.quaternion):
+        if not count or np.abs(held[:count] @ quaternion).max() < near:
+            kept[count], held[count] = k, quaternion
+            count += 1
+    return kept[:count]
+
+
+def log_prior(poses: Poses, told: PosePrior) -> Array:
+    """(N,) of the scale."""
+    if told.log_scale is None:
+        return np.zeros(len(poses))
+    return np.asarray(-0.5 * ((poses.log_scale - told.log_scale) / told.log_scale_sigma) ** 2)

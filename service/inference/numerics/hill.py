@@ -1,0 +1,57 @@
+"""What poses climb on, and where a climb ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.inference.model.drawing import FINE, Drawing, Quality, View
+from service.inference.model.likelihood import ROUNDS, Fit, Images, Scene, terms_of
+from service.inference.model.paint import painted
+from service.inference.numerics.priors import PosePrior
+from service.inference.state import Array, Poses
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How far one step may go, as the standard deviations of a prior on it: linear no further."""
+
+    turn: float = 0.1  # rad
+    place: float = 0.1  # of the body's radius
+    log_scale: float = 0.1
+    joint: float = 0.15  # rad, or share of the range
+
+
+@dataclass(frozen=True)
+class Hill:
+    """What poses climb on."""
+
+    scene: Scene
+    drawing: Drawing
+    view: View
+    told: PosePrior
+    quality: Quality = FINE
+    difference: float = 0.5  # patch px by which a difference moves the body's rim
+    sun_free: bool = True
+    rounds: int = ROUNDS
+    trust: Trust = Trust()
+
+    def log_evidences(self, planes: Images, scene: Scene | None = None, paint: Array | None = None) -> Array:
+        """(N,) of drawn poses (N, Q, S, S). ``scene``: not the hill's own; ``paint`` (2, P): as they should have it."""
+        terms = terms_of(scene or self.scene, self.drawing.n_groups, planes.shape[1])
+        terms = terms if paint is None else painted(terms, paint[None])
+        found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms, self.rounds)
+        return np.asarray(found.log_evidence, np.float64)
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A pose, the Sun it goes with, its light, and the covariance of (rx, ry, rz, x, y, log scale, joints)."""
+
+    pose: Poses  # one
+    sun: Array  # (3,)
+    sun_sigma: float  # rad, each axis across it
+    fit: Fit
+    log_posterior: float  # evidence, and the prior of scale and Sun
+    covariance: Array  # (6 + J, 6 + J) rad, frame px, log, deg or model units
