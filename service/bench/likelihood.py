@@ -26,13 +26,11 @@ from service.bench.runner import learned_sky
 from service.bench.told import Told, turned
 from service.imaging.background import Background, Sky, derive
 from service.imaging.decode import decode_frame
-from service.imaging.patch import cut, find_light, light_of
-from service.imaging.psf import estimate_psf_sigma
 from service.inference.articulation import Articulation, hold
 from service.inference.model.drawing import Quality, View
 from service.inference.model.likelihood import terms_of
 from service.inference.model.search import Found, make_bank, search
-from service.inference.model.stages import Body, Sight
+from service.inference.model.stages import Body
 from service.inference.model.templates import Bank
 from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.hill import Hill, Refined
@@ -41,6 +39,7 @@ from service.inference.pose import angle_between, concatenate, retract
 from service.inference.state import Array, Poses
 from service.sessions.config import effective
 from service.workers.lit_body import LitBody
+from service.workers.lit_frame import LightOfFrame
 from service.workers.tracker import Tracker
 
 _PNG = "image/png"
@@ -175,17 +174,11 @@ def bench_case(
 def _look(shared: _Pass, k: int, data: bytes, truth_frame: TruthFrame) -> Looked | None:
     """None: no light is found."""
     frame = decode_frame(data, _PNG)
-    light = light_of(frame.image, shared.sky, frame.bits)
-    box = find_light(light)
-    if box is None:
-        return None
-    contrast = np.asarray(np.abs(light.image) / light.sigma, np.float32)
-    psf = estimate_psf_sigma(contrast) or _PSF_PX
-    sight = Sight(lambda span, wanted: cut(light, box.centre, span, wanted), box.side, psf)
     began = time.perf_counter()
-    more = find_light(light, specks=True)
-    wide = None if more is None else Sight(lambda span, wanted: cut(light, more.centre, span, wanted), more.side, psf)
-    found = search(shared.body, sight, shared.bank, shared.told, wide)
+    light = LightOfFrame(frame.image, shared.sky, frame.bits, None)
+    if light.sight is None:
+        return None
+    found = search(shared.body, light.sight, shared.bank, shared.told, light.wide)
     search_ms = 1e3 * (time.perf_counter() - began)
     pose = truth_frame.poses(shared.held)
     likeness = Likeness.of(shared.case, shared.held, pose)

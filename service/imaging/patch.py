@@ -77,6 +77,14 @@ class Box:
 
 
 @dataclass(frozen=True)
+class Pieces:
+    """Connected light of a frame, N pieces."""
+
+    boxes: NDArray[np.float64]  # (N, 4) left, top, right, bottom, in the light's own pixels
+    total: NDArray[np.float64]  # (N,) light, in units of its noise
+
+
+@dataclass(frozen=True)
 class Patch:
     """A square of the frame in squares of ``binning`` px, its first corner at ``origin``; counts per frame pixel."""
 
@@ -163,22 +171,28 @@ def _photon_transfer(above: Map, sigma: float) -> float:
     return float(slopes[min(near, key=lambda k: abs(above_quartile(k)))])
 
 
-def find_light(light: Light, *, specks: bool = False) -> Box | None:
-    """The box of the brightest connected light and of what lies near it; dark as well as light. None: empty sky.
-
-    What is as small as a star belongs to the object only if it almost touches it; with ``specks``, as larger things do:
-    of a body that is mostly in shadow a few specks are all that is seen.
-    """
+def pieces_of(light: Light) -> Pieces:
+    """What is connected and stands out of the noise; dark as well as light."""
     z = light.image / np.float32(light.sigma)
     smooth = np.abs(cv2.GaussianBlur(z, (0, 0), _SMOOTH_PX)) / np.float32(_SMOOTHED_SIGMA)
     count, labels, stats, _ = cv2.connectedComponentsWithStats((smooth > DETECTION_SIGMAS).astype(np.uint8))
     total = np.bincount(labels.ravel(), weights=smooth.ravel(), minlength=count)[1:]
     boxes = np.column_stack([stats[1:, 0], stats[1:, 1], stats[1:, 0] + stats[1:, 2], stats[1:, 1] + stats[1:, 3]])
     large = stats[1:, cv2.CC_STAT_AREA] >= _LEAST_AREA_PX
-    if not large.any():
+    return Pieces(boxes[large].astype(np.float64), np.asarray(total[large], np.float64))
+
+
+def find_light(light: Light, pieces: Pieces | None = None, *, specks: bool = False) -> Box | None:
+    """The box of the brightest connected light and of what lies near it; dark as well as light. None: empty sky.
+
+    What is as small as a star belongs to the object only if it almost touches it; with ``specks``, as larger things do:
+    of a body that is mostly in shadow a few specks are all that is seen. ``pieces``: those of this light.
+    """
+    all_pieces = pieces or pieces_of(light)
+    boxes = all_pieces.boxes
+    if not len(boxes):
         return None
-    boxes, total = boxes[large].astype(np.float64), total[large]
-    whole = boxes[np.argmax(total)]
+    whole = boxes[np.argmax(all_pieces.total)]
     extent = (boxes[:, 2:] - boxes[:, :2]).max(axis=1)
     share = np.where((extent <= _STAR_PX) & (not specks), _NEAR_STAR, _NEAR)  # a star is no boom
     rest = np.ones(len(boxes), dtype=bool)

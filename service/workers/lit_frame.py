@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.background import Sky
-from service.imaging.patch import Box, Light, Patch, cut, find_light, light_of, square_around
+from service.imaging.patch import Box, Light, Patch, Pieces, cut, find_light, light_of, pieces_of, square_around
 from service.imaging.psf import estimate_psf_sigma
 from service.inference.model import existence
 from service.inference.model.prior import CORE_PX
@@ -62,7 +62,7 @@ class LightOfFrame:
     @cached_property
     def wide(self) -> Sight | None:
         """The same with all specks."""
-        return self._sight(find_light(self._light, specks=True))
+        return self._sight(find_light(self._light, self._pieces, specks=True))
 
     def around(self, centre: NDArray[np.float64], reach_px: float, span_px: float, psf_px: float) -> Sight:
         """The light within ``reach_px`` of a place; where there is none, a square of ``span_px`` about it."""
@@ -77,13 +77,28 @@ class LightOfFrame:
         return light_of(self._image, self._sky, self._bits)
 
     @cached_property
-    def _light(self) -> Light:
+    def _found(self) -> tuple[Light, Pieces, Box | None]:
         """Of the region, if the object's light ends within it; else of the whole frame."""
-        if self._region is None:
-            return self._whole
-        light = light_of(self._image, self._sky, self._bits, self._region)
-        box = find_light(light)
-        return light if box is not None and self._ends_within(box) else self._whole
+        if self._region is not None:
+            light = light_of(self._image, self._sky, self._bits, self._region)
+            pieces = pieces_of(light)
+            box = find_light(light, pieces)
+            if box is not None and self._ends_within(box):
+                return light, pieces, box
+        pieces = pieces_of(self._whole)
+        return self._whole, pieces, find_light(self._whole, pieces)
+
+    @property
+    def _light(self) -> Light:
+        return self._found[0]
+
+    @property
+    def _pieces(self) -> Pieces:
+        return self._found[1]
+
+    @property
+    def _box(self) -> Box | None:
+        return self._found[2]
 
     def _ends_within(self, box: Box) -> bool:
         assert self._region is not None
@@ -96,10 +111,6 @@ class LightOfFrame:
             or (box.bottom >= rows.stop and rows.stop < height)
         )
         return not beyond
-
-    @cached_property
-    def _box(self) -> Box | None:
-        return find_light(self._light)
 
     @cached_property
     def _psf(self) -> float:

@@ -13,11 +13,12 @@ from service.errors import BackendMissingError
 from service.imaging.background import Sky
 from service.imaging.decode import Frame as Image
 from service.imaging.overlay import RGB, draw_left_over, stretch_of, stretched
-from service.imaging.patch import Light, Map, Patch, cut, light_of
+from service.imaging.patch import Light, Map, cut, light_of
 from service.imaging.psf import estimate_psf_sigma
 from service.imaging.transfer import linear
 from service.imaging.window import Window
 from service.inference.articulation import Articulation, part_transforms
+from service.inference.model.drawing import View
 from service.inference.model.nuisance import Nuisance, best_spread
 from service.inference.model.prior import CORE_PX
 from service.inference.model.stages import FINEST, SHARP, Body, Sight, stage_hill
@@ -90,8 +91,7 @@ def model_light(body: Body, light: Light, pose: Poses, sun: Array | None, psf_px
     )
     fine = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
     (found,) = ascend(fine, pose, sun[None], steps=0, covariance="none")
-    patch = cut(light, (x, y), span, FINEST.wanted)
-    return _laid(found.fit.model, patch, light.image.shape), fine.scene.smoothing * patch.binning
+    return _laid(found.fit.model, fine.view, light.image.shape), fine.scene.smoothing * fine.view.binning
 
 
 def draw_silhouette(
@@ -113,11 +113,11 @@ def _in_window(pose: Poses, window: Window) -> Poses:
     return Poses(pose.quaternion, position, pose.log_scale - np.log(window.binning), pose.joints)
 
 
-def _laid(patch_image: Map, patch: Patch, shape: tuple[int, ...]) -> Map:
+def _laid(patch_image: Map, view: View, shape: tuple[int, ...]) -> Map:
     """A patch's image on a frame (H, W) without any other light."""
-    side = patch.side * patch.binning
+    side = round(view.side * view.binning)
     large = cv2.resize(patch_image, (side, side), interpolation=cv2.INTER_LINEAR)
-    out, (left, top) = np.zeros(shape, np.float32), (int(value) for value in patch.origin)
+    out, (left, top) = np.zeros(shape, np.float32), (int(value) for value in view.origin)
     rows, columns = slice(max(top, 0), max(top + side, 0)), slice(max(left, 0), max(left + side, 0))
     height, width = out[rows, columns].shape
     first = rows.start - top, columns.start - left
