@@ -26,12 +26,13 @@ def pictures():
     kept.close()
 
 
-def frame(pose) -> Frame:
-    """8 bits of a body in the Sun before a level sky."""
+def frame(pose, blur=0.0) -> Frame:
+    """8 bits of a body in the Sun before a level sky; ``blur`` (px) by the air."""
     light = lit_body.seen(pose, lit_body.shares(lit_body.lit_body(), 150.0))
-    image = np.random.default_rng(3).normal(LEVEL, NOISE, SIZE)
-    x, y = (int(v) for v in lit_body.VIEW.origin)
-    image[y : y + lit_body.SIDE, x : x + lit_body.SIDE] += light
+    image, x, y = np.zeros(SIZE), *(int(v) for v in lit_body.VIEW.origin)
+    image[y : y + lit_body.SIDE, x : x + lit_body.SIDE] = light
+    image = cv2.GaussianBlur(image, (0, 0), blur) if blur else image
+    image += np.random.default_rng(3).normal(LEVEL, NOISE, SIZE)
     return Frame(image.clip(0, 255).round().astype(np.uint8), 8, 1)
 
 
@@ -64,9 +65,11 @@ def left_over(pictures, image, asked) -> float:
     return float(pictures.draw(replace(asked, show="residual"), image, sky(), mesh).max(axis=2).mean())
 
 
-def test_the_model_looks_like_the_frame(pictures):
+@pytest.mark.parametrize("blur", [0.0, 3.0])
+def test_the_model_looks_like_the_frame(pictures, blur):
+    """Where all is blurred, the patch is coarser."""
     pose = lit_body.pose()
-    image, (mesh, _) = frame(pose), lit_body.lit_mesh()
+    image, (mesh, _) = frame(pose, blur), lit_body.lit_mesh()
     model = pictures.draw(replace(job(pose), show="model"), image, sky(), mesh)[:, :, 0].astype(float)
     blurred = cv2.GaussianBlur(image.image.astype(np.float32), (0, 0), 1.0)
     assert np.corrcoef(model.ravel(), blurred.ravel())[0, 1] > 0.98
