@@ -29,7 +29,7 @@ from service.inference.state import Estimate, FilterState, Mixture, Poses
 from service.inference.symmetry import twin
 
 FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as fine as a track is followed
-_ENOUGH, _ENOUGH_OF_OTHERS = 1.0, 1 / prior.EVIDENCE_TRUST  # nats: of a step after which a mode is at its best
+_ENOUGH_OF_OTHERS = 1 / prior.EVIDENCE_TRUST  # nats: what others than the leader may be short of their best
 _LEAST = 1e-3  # probability below which a mode is dropped
 _EAGER = 3  # searches of a leader, one frame after the other
 _RARER, _RAREST = 3, 100  # each search that could not better the leader makes the next so much rarer; frames
@@ -139,7 +139,7 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
     poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
     enough = np.full(len(poses), ENOUGH if far else _ENOUGH_OF_OTHERS)
-    enough[np.argmax(ahead.log_weights)] = ENOUGH if far else _ENOUGH
+    enough[np.argmax(ahead.log_weights)] = ENOUGH
     believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
     return ascend(hill, poses, ahead.suns, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
 
