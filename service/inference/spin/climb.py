@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.spin.frames import DEGREES, LOG_UNIFORM, PassFrames, gaps, log_densities
 from service.inference.spin.rigid_body import Motions, moved, orientations, with_derivatives
@@ -106,7 +107,7 @@ def _system(frames: PassFrames, motions: Motions, prior: MotionPrior, elapsed_s:
     return normal, pull - np.concatenate([np.zeros(3), sure[3:]]) * prior.away(motions)
 
 
-def _replaced(motions: Motions, at: Array, by: Motions) -> Motions:
+def _replaced(motions: Motions, at: NDArray[np.intp], by: Motions) -> Motions:
     parts = [part.copy() for part in (motions.quaternion, motions.rate, motions.shape)]
     for part, new in zip(parts, (by.quaternion, by.rate, by.shape), strict=True):
         part[at] = new

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import lgamma, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
-from service.inference.pose import conjugate, log_so3, multiply, rotation_matrices
-from service.inference.state import Array
+from service.inference.pose import conjugate, log_so3, multiply
+from service.inference.state import Array, Poses
+from service.inference.symmetry import Symmetry, twin
 
 LEAST_SIGMA_RAD = 1e-5  # numerical: so that a covariance can be inverted
 DEGREES = POSE_DEGREES_OF_FREEDOM
@@ -31,18 +32,24 @@ class PassFrames:
     quaternion: Array  # (n, M, 4) body -> fixed frame
     root: Array  # (n, M, 3, 3) symmetric W with W W = C^-1, 1/rad
     log_weight: Array  # (n, M)
+    n_starts: int  # of the M, the first ones: the others are only their symmetry-equivalents
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> PassFrames:
-        return PassFrames(self.time_s[index], self.quaternion[index], self.root[index], self.log_weight[index])
+        return PassFrames(
+            self.time_s[index], self.quaternion[index], self.root[index], self.log_weight[index], self.n_starts
+        )
 
 
 def pass_frames(
-    time_s: Array, quaternions: Sequence[Array], covariances: Sequence[Array], weights: Sequence[Array]
+    time_s: Array,
+    quaternions: Sequence[Array],
+    covariances: Sequence[Array],
+    weights: Sequence[Array],
 ) -> PassFrames:
-    """Of n frames with (m, 4) modes, (m, 3, 3) scales of their Student t's (rad^2) and (m,) weights each."""
+    """Of n frames in order of time: (m, 4) modes, (m, 3, 3) scales of their Student t's (rad^2), (m,) weights each."""
     most = max(len(w) for w in weights)
     quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (len(time_s), most, 1))
     root = np.tile(np.eye(3), (len(time_s), most, 1, 1))
@@ -54,25 +61,31 @@ def pass_frames(
         root[k, : len(w)] = np.einsum("mij,mj,mkj->mik", vectors, scale, vectors)
         with np.errstate(divide="ignore"):
             log_weight[k, : len(w)] = np.log(np.asarray(w) / np.sum(w))
-    order = np.argsort(time_s, kind="stable")
-    return PassFrames(np.asarray(time_s, np.float64)[order], quaternion[order], root[order], log_weight[order])
+    return PassFrames(np.asarray(time_s, np.float64), quaternion, root, log_weight, most)
 
 
-def with_equivalents(frames: PassFrames, rotations: Sequence[Array]) -> PassFrames:
-    """Every mode also as the body's symmetry-equivalents see it: q s of each quaternion s (4,), with its share."""
-    if not rotations:
-        return frames
+def with_equivalents(frames: PassFrames, symmetries: Sequence[Symmetry]) -> PassFrames:
+    """Frames of rotations body -> camera, every mode also as the body's symmetry-equivalents show it."""
     copies = [frames]
-    for s in rotations:
-        turn = rotation_matrices(s)
-        turned = np.einsum("ji,nmjk,kl->nmil", turn, frames.root, turn)
-        copies.append(PassFrames(frames.time_s, multiply(frames.quaternion, s), turned, frames.log_weight))
-    return PassFrames(
-        frames.time_s,
-        np.concatenate([one.quaternion for one in copies], axis=1),
-        np.concatenate([one.root for one in copies], axis=1),
-        np.concatenate([one.log_weight for one in copies], axis=1) - np.log(len(copies)),
+    shape = frames.log_weight.shape
+    flat = frames.quaternion.reshape(-1, 4)
+    anywhere = Poses(flat, np.zeros((len(flat), 2)), np.zeros(len(flat)), np.zeros((len(flat), 0)))
+    for symmetry in symmetries:
+        matrix = np.asarray(symmetry.matrix)
+        turned = np.einsum("ij,nmjk,lk->nmil", matrix, frames.root, matrix)
+        quaternion = twin(anywhere, symmetry).quaternion.reshape(*shape, 4)
+        copies.append(replace(frames, quaternion=quaternion, root=turned))
+    return replace(
+        frames,
+        quaternion=np.concatenate([one.quaternion for one in copies], axis=1),
+        root=np.concatenate([one.root for one in copies], axis=1),
+        log_weight=np.concatenate([one.log_weight for one in copies], axis=1) - np.log(len(copies)),
     )
+
+
+def seen_from(frames: PassFrames, cameras: Array) -> PassFrames:
+    """Frames of rotations body -> camera as body -> fixed, with each frame's camera -> fixed (n, 4)."""
+    return replace(frames, quaternion=multiply(cameras[:, None], frames.quaternion))
 
 
 def gaps(frames: PassFrames, q: Array) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.pose import conjugate, exp_so3, log_so3, multiply, rotation_matrices
 from service.inference.state import Array
@@ -46,13 +47,13 @@ class Motions:
     def __len__(self) -> int:
         return len(self.rate)
 
-    def __getitem__(self, index: object) -> Motions:
-        return Motions(self.quaternion[index], self.rate[index], self.shape[index])  # type: ignore[index]
+    def __getitem__(self, index: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Motions:
+        return Motions(self.quaternion[index], self.rate[index], self.shape[index])
 
     @property
     def n_parameters(self) -> int:
         """6, or 11 with inertia."""
-        return 6 + self.shape.shape[1]
+        return 6 + int(self.shape.shape[1])
 
 
 def moved(motions: Motions, step: Array) -> Motions:
@@ -142,8 +143,8 @@ def _turns(rates: Array, shapes: Array, elapsed_s: Array, at_least: Array | None
     if not shapes.shape[1]:
         w = np.broadcast_to(rates[:, None], (len(rates), len(elapsed_s), 3))
         return exp_so3(w * elapsed_s[:, None]), w
-    fastest = np.concatenate([rates] if at_least is None else [rates, at_least])
-    fastest = float(np.sqrt(np.max(np.sum(fastest**2, axis=1))))
+    compared = np.concatenate([rates] if at_least is None else [rates, at_least])
+    fastest = float(np.sqrt(np.max(np.sum(compared**2, axis=1))))
     out, w = np.empty((len(rates), len(elapsed_s), 4)), np.empty((len(rates), len(elapsed_s), 3))
     moments = inertia(shapes)
     for sign, at in ((1.0, elapsed_s >= 0), (-1.0, elapsed_s < 0)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.pose import angle_between, conjugate, log_so3, multiply
 from service.inference.spin.climb import MotionPrior, climb, log_posterior
@@ -55,7 +56,7 @@ def _from_anchor(frames: PassFrames, prior: MotionPrior, k: int, tumbling: bool,
 def pairs(frames: PassFrames, prior: MotionPrior, k: int) -> Motions:
     """Constant rates that lead from a mode of frame ``k`` to one of a near frame, with whole turns added, and rest."""
     most = _FASTEST_SIGMAS * prior.rate_sigma
-    firsts = np.flatnonzero(frames.log_weight[k] > np.log(_LEAST_SHARE))
+    firsts = np.flatnonzero(frames.log_weight[k, : frames.n_starts] > np.log(_LEAST_SHARE))
     q, rates = [frames.quaternion[k, m] for m in firsts], [np.zeros(3)] * len(firsts)
     for j in sorted({k + sign * step for step in _NEIGHBOURS for sign in (1, -1)} & set(range(len(frames)))):
         dt_s = float(frames.time_s[j] - frames.time_s[k])
@@ -87,7 +88,7 @@ def _with_shapes(motions: Motions, prior: MotionPrior) -> Motions:
 
 
 def _count(whole: int, stage: int) -> int:
-    return min(whole, _FIRST * 2**stage)
+    return int(min(whole, _FIRST * 2**stage))
 
 
 def _window(frames: PassFrames, at_s: float, stage: int) -> PassFrames:
@@ -102,7 +103,7 @@ def _best(motions: Motions, score: Array, elapsed_s: Array, most: int) -> Motion
     return motions[distinct(motions, score, elapsed_s, most)]
 
 
-def distinct(motions: Motions, score: Array, elapsed_s: Array, most: int) -> Array:
+def distinct(motions: Motions, score: Array, elapsed_s: Array, most: int) -> NDArray[np.intp]:
     """Indices of the highest candidates that differ somewhere in a window, highest first."""
     some = elapsed_s[np.unique(np.linspace(0, len(elapsed_s) - 1, 9).round().astype(int))]
     q = orientations(motions, some)

@@ -1,0 +1,54 @@
+"""``skypose motion``: how the object of a session turned."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.remote_options import DEFAULT_URL, Key, Url, connected
+
+if TYPE_CHECKING:
+    from service.api.motion import PassMotion, Vector
+
+
+def motion(
+    session: Annotated[str, typer.Argument(help="The session's id.")],
+    as_json: Annotated[bool, typer.Option("--json", help="The whole answer as JSON.")] = False,
+    url: Url = DEFAULT_URL,
+    key: Key = None,
+) -> None:
+    """Rate, axis and period of a pass, from all its frames (docs/motion.md)."""
+    with connected(url, key) as client:
+        found = client.motion(session)
+    typer.echo(found.model_dump_json(indent=2) if as_json else "\n".join(lines(found)))
+
+
+def lines(found: PassMotion) -> list[str]:
+    """The answer for people."""
+    told = found.probabilities
+    out = [
+        f"model      {found.model} (constant rate {told.constant_rate:.3f}, tumbling {told.tumbling:.3f})",
+        f"rate       {found.rate_deg_s:.4f} ± {found.rate_sigma_deg_s:.4f} °/s against {found.relative_to}",
+        f"body       {_vector(found.angular_velocity_body_deg_s)} ± {_vector(found.sigma_deg_s)} °/s",
+        "period     "
+        + ("not seen" if found.period_s is None else f"{found.period_s:.3f} ± {found.period_sigma_s:.3f} s"),
+        f"axis body  {_vector(found.axis_body)} ± {found.axis_body_sigma_deg:.2f}°",
+    ]
+    if found.axis_gcrf is not None:
+        out.append(f"axis GCRF  {_vector(found.axis_gcrf)} ± {found.axis_gcrf_sigma_deg:.2f}°")
+    if found.inertia is not None:
+        ratios = " ".join(
+            f"{value:.3f} ± {sigma:.3f}"
+            for value, sigma in zip(found.inertia.ratios, found.inertia.ratios_sigma, strict=True)
+        )
+        out.append(f"inertia    {ratios} of the greatest; nutation {found.inertia.nutation_deg:.1f}°")
+    frames = found.frames
+    out.append(
+        f"frames     {frames.used} of {frames.stored}, {frames.explained:.0%} explained; p = {found.probability:.3f}"
+    )
+    return out + [f"note       {warning}" for warning in found.warnings]
+
+
+def _vector(vector: Vector) -> str:
+    return f"({vector.x:.4f}, {vector.y:.4f}, {vector.z:.4f})"
