@@ -26,13 +26,13 @@ def motion(
 
 def lines(found: PassMotion) -> list[str]:
     """The answer for people."""
-    told = found.probabilities
+    told, frames = found.probabilities, found.frames
+    period = "not seen" if found.period_s is None else f"{found.period_s:.3f} ± {found.period_sigma_s:.3f} s"
     out = [
         f"model      {found.model} (constant rate {told.constant_rate:.3f}, tumbling {told.tumbling:.3f})",
         f"rate       {found.rate_deg_s:.4f} ± {found.rate_sigma_deg_s:.4f} °/s against {found.relative_to}",
         f"body       {_vector(found.angular_velocity_body_deg_s)} ± {_vector(found.sigma_deg_s)} °/s",
-        "period     "
-        + ("not seen" if found.period_s is None else f"{found.period_s:.3f} ± {found.period_sigma_s:.3f} s"),
+        f"period     {period}",
         f"axis body  {_vector(found.axis_body)} ± {found.axis_body_sigma_deg:.2f}°",
     ]
     if found.axis_gcrf is not None:
@@ -43,10 +43,8 @@ def lines(found: PassMotion) -> list[str]:
             for value, sigma in zip(found.inertia.ratios, found.inertia.ratios_sigma, strict=True)
         )
         out.append(f"inertia    {ratios} of the greatest; nutation {found.inertia.nutation_deg:.1f}°")
-    frames = found.frames
-    out.append(
-        f"frames     {frames.used} of {frames.stored}, {frames.explained:.0%} explained; p = {found.probability:.3f}"
-    )
+    out.append(f"frames     {frames.used} of {frames.stored}, {frames.explained:.0%} of these explained")
+    out.append(f"certainty  {found.probability:.3f}")
     return out + [f"note       {warning}" for warning in found.warnings]
 
 

@@ -55,7 +55,7 @@ def _own(belief: Belief, before: Belief | None, noise: MotionNoise, domain: Doma
         d = belief.n_tangent
         posterior = _scale(belief.covariance[k][:d, :d], bootstrap)
         source = None if ahead is None else _source(belief, k, ahead, domain, bootstrap)
-        turn: Array = np.zeros(3)
+        pull: Array = np.zeros(d)
         log = float(belief.log_weights[k])
         if ahead is None or source is None:
             information = np.asarray(np.linalg.inv(posterior))
@@ -66,11 +66,12 @@ def _own(belief: Belief, before: Belief | None, noise: MotionNoise, domain: Doma
             expected: Array = np.linalg.inv(ahead.covariance[j])
             information = np.asarray(np.linalg.inv(posterior) - expected)
             log -= ahead.weight_kept * float(ahead.belief.log_weights[j])
-            turn = np.asarray(np.linalg.solve(_kept_positive(information, posterior), expected @ shift))[:3]
-        spread: Array = np.linalg.inv(_kept_positive(information, posterior))[:3, :3]
-        turn = turn * min(1.0, _FASTEST_RAD / max(float(np.linalg.norm(turn)), 1e-9))
+            pull = expected @ shift
+        spread: Array = np.linalg.inv(_kept_positive(information, posterior))[:3]
+        turn = spread @ pull
+        turn *= min(1.0, _FASTEST_RAD / max(float(np.linalg.norm(turn)), 1e-9))
         quaternion.append(multiply(belief.poses.quaternion[k], exp_so3(turn)))
-        covariance.append(_bounded(spread))
+        covariance.append(_bounded(spread[:, :3]))
         logs.append(log)
     weight = np.exp(np.array(logs) - np.logaddexp.reduce(logs))
     return Own(np.array(quaternion), np.array(covariance), weight)
