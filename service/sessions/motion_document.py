@@ -102,7 +102,7 @@ def _inertia(lead: Basin) -> dict[str, Any]:
 
 def _probability(courses: list[tuple[float, Basin]], lead: Basin, found: PassMotion) -> float:
     """Of the course that the answer is of, whichever law it follows."""
-    same = (p for p, one in courses if basins.same_course(one.motion, lead.motion, found.half_span_s))
+    same = (p for p, one in courses if found.same(one, lead))
     return float(min(sum(same), 1.0))
 
 

@@ -9,13 +9,12 @@ from typing import Literal
 import numpy as np
 
 from service.inference.pose import angle_between, multiply, rotation_matrices
-from service.inference.spin.rigid_body import Motions, inertia, moved, orientations
+from service.inference.spin.rigid_body import Motions, inertia, moved, orientations, places
 from service.inference.state import Array
 
 Model = Literal["constant_rate", "tumbling"]
 Bodies = Literal["free", "mesh"]
 _SAME_RAD = 0.1  # numerical: two basins whose orientations are nowhere further apart are one course
-_PLACES = 9  # numerical: of a pass at which that is looked at
 _DIFFERENCE = 1e-5  # numerical: of a difference quotient
 
 
@@ -43,6 +42,7 @@ class PassMotion:
     basins: tuple[Basin, ...]
     probabilities: Array  # (K,)
     n_frames: int  # used
+    rotations: tuple[Array, ...] = ()  # (4,) each: q s is seen as q is
 
     def probability_of(self, model: Model) -> float:
         """Of a hypothesis."""
@@ -57,12 +57,16 @@ class PassMotion:
         """The most probable basin of a hypothesis."""
         return next(basin for basin in self.basins if basin.model == model)
 
+    def same(self, one: Basin, other: Basin) -> bool:
+        """Whether two basins are of the same orientations, or of such as look the same."""
+        return same_course(one.motion, other.motion, self.half_span_s, self.rotations)
+
     def courses(self) -> list[tuple[float, Basin]]:
         """Courses of orientations that differ, with their probabilities, most probable first, and a basin of each."""
         found: list[tuple[float, Basin]] = []
         for p, basin in zip(self.probabilities, self.basins, strict=True):
             for k, (sum_so_far, other) in enumerate(found):
-                if same_course(basin.motion, other.motion, self.half_span_s):
+                if self.same(basin, other):
                     found[k] = (sum_so_far + float(p), other)
                     break
             else:
@@ -72,7 +76,7 @@ class PassMotion:
 
 def same_course(one: Motions, other: Motions, half_span_s: float, rotations: Sequence[Array] = ()) -> bool:
     """Whether two motions show the same orientations throughout, the one as it is or through one of ``rotations``."""
-    at = np.linspace(-half_span_s, half_span_s, _PLACES)
+    at = places(-half_span_s, half_span_s)
     first, second = orientations(one, at), orientations(other, at)
     seen = [first, *(multiply(first, s) for s in rotations)]
     return any(float(np.max(angle_between(image, second))) < _SAME_RAD for image in seen)

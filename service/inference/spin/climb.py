@@ -12,6 +12,7 @@ from service.inference.spin.rigid_body import Motions, moved, orientations, with
 from service.inference.state import Array
 
 OUTLIER = 0.05  # prior: share of frames of which no mode is true; of tracked passes one search in twenty errs
+SLOWEST = float(np.deg2rad(0.02))  # prior: rad/s, below which a rate is as good as none: a turn in five hours
 _SHORTER, _LEAST_SHARE = 0.3, 0.02  # numerical: of a step that did not climb; steps shorter than that are given up
 _ENOUGH = 1e-3  # nats: a step that gains less is the last
 
@@ -25,13 +26,20 @@ class MotionPrior:
     shape_sigma: float  # of each of its entries
 
     def log_density(self, motions: Motions) -> Array:
-        """(B,)"""
-        x = self._standard(motions)
-        scale = 3 * np.log(self.rate_sigma) + motions.shape.shape[1] * np.log(self.shape_sigma)
-        return np.asarray(LOG_UNIFORM - 0.5 * np.sum(x**2, axis=1) - 0.5 * x.shape[1] * np.log(2 * np.pi) - scale)
+        """(B,) per rad^3 of orientation, (rad/s)^3 of rate, and shape.
+
+        The order of magnitude of a rate is unknown: its log is uniform from ``SLOWEST`` to three ``rate_sigma``, its
+        direction is any; below ``SLOWEST`` its density is flat.
+        """
+        squares = np.sum(motions.rate**2, axis=1) + SLOWEST**2
+        rate = -np.log(4 * np.pi * np.log(3 * self.rate_sigma / SLOWEST)) - 1.5 * np.log(squares)
+        rate -= 0.5 * np.maximum(np.sqrt(squares) / self.rate_sigma - 3, 0) ** 2
+        x = self.away(motions)[:, 6:] / self.shape_sigma
+        shape = -0.5 * np.sum(x**2, axis=1) - x.shape[1] * (np.log(self.shape_sigma) + 0.5 * np.log(2 * np.pi))
+        return np.asarray(LOG_UNIFORM + rate + shape)
 
     def precision(self, motions: Motions) -> Array:
-        """(P,) diagonal, of the steps of ``moved``."""
+        """(P,) diagonal, of the steps of ``moved``; of the rate that of its widest law, which no pass comes near."""
         count = motions.shape.shape[1]
         return np.array([0.0] * 3 + [self.rate_sigma**-2] * 3 + [self.shape_sigma**-2] * count)
 
@@ -39,10 +47,6 @@ class MotionPrior:
         """(B, P) steps from the mean."""
         shape = motions.shape - self.shape if motions.shape.shape[1] else motions.shape
         return np.concatenate([np.zeros((len(motions), 3)), motions.rate, shape], axis=1)
-
-    def _standard(self, motions: Motions) -> Array:
-        return self.away(motions)[:, 3:] * np.sqrt(self.precision(motions)[3:])
-
 
 def log_posterior(frames: PassFrames, motions: Motions, prior: MotionPrior, reference_s: float) -> Array:
     """(B,) log of prior and likelihoods, every frame as if it erred by itself."""

@@ -53,7 +53,8 @@ def fit_pass(
         for name, body in priors.items():
             found = [weighed(frames, tops[k : k + 1], body, reference_s, name) for k in range(len(tops))]
             basins += [replace(one, log_evidence=one.log_evidence + float(log_prior)) for one in found if one]
-    return _ranked(basins, reference_s, half_span_s, len(frames))
+    ranked = _ranked(basins, reference_s, half_span_s, len(frames))
+    return replace(ranked, rotations=tuple(rotations))
 
 
 def _ranked(basins: list[Basin], reference_s: float, half_span_s: float, n_frames: int) -> PassMotion:
@@ -104,7 +105,7 @@ def weighed(
         away = prior.away(motion)[0]
         linear = Linear(frames.time_s[used], z, frames.root[told] @ jacobian[0][used], u, precision, away)
         solved = solve(linear)
-        log = solved.log_evidence + float(prior.log_density(motion)[0]) + 0.5 * float(precision @ away**2)
+        log = solved.log_evidence + float(prior.log_density(motion)[0])
         motion = moved(motion, solved.mean[None])
     assert solved is not None and told is not None
     return Basin(

@@ -51,38 +51,42 @@ class Solved:
 def solve(linear: Linear) -> Solved:
     """Marginal over a, tau and s on a grid: a mixture of Gaussians, told by its first two moments."""
     means, spreads, logs, facts, places = [], [], [], [], []
-    for a, tau in _grid():
+    for a, tau, log_prior in _grid():
         sums = _sums(linear, a, tau)
         scales, width = _scales(linear, sums)
-        for scale in scales:
-            mean, spread, log = _at_scale(linear, sums, scale)
-            means.append(mean)
-            spreads.append(spread)
-            logs.append(log + np.log(width))
-            facts.append((scale, a, sums.independent))
-            places.append((a, tau, scale, mean))
-    found = np.array(logs)
+        mean, spread, log = _at_scales(linear, sums, scales)
+        means.append(mean)
+        spreads.append(spread)
+        logs.append(log + np.log(width) + log_prior)
+        facts += [(scale, a, sums.independent) for scale in scales]
+        places += [(a, tau, scale, step) for scale, step in zip(scales, mean, strict=True)]
+    found = np.concatenate(logs)
     total = float(np.logaddexp.reduce(found))
     weight = np.exp(found - total)
-    mean = weight @ np.array(means)
-    apart = np.array(means) - mean
-    covariance = np.einsum("g,gij->ij", weight, np.array(spreads)) + np.einsum("g,gi,gj->ij", weight, apart, apart)
+    every = np.concatenate(means)
+    mean = weight @ every
+    apart = every - mean
+    covariance = np.einsum("g,gij->ij", weight, np.concatenate(spreads))
+    covariance += np.einsum("g,gi,gj->ij", weight, apart, apart)
     scale, stays, independent = weight @ np.array(facts)
     own = _own_squares(linear, *places[int(np.argmax(found))])
     return Solved(mean, covariance, total, float(scale), float(stays), float(independent), own)
 
 
-def _grid() -> Iterator[tuple[float, float]]:
-    yield 0.0, 1.0
-    yield from product(_SHARES, _LASTS_S)
+def _grid() -> Iterator[tuple[float, float, float]]:
+    """Share, tau, and the log of their prior probability: every share as likely, and every tau."""
+    each = -float(np.log(len(_SHARES) + 1))
+    yield 0.0, 1.0, each
+    for a, tau in product(_SHARES, _LASTS_S):
+        yield a, tau, each - float(np.log(len(_LASTS_S)))
 
 
 def _scales(linear: Linear, sums: _Sums) -> tuple[Array, float]:
     """Places of s about its best, and the log of s between two of them."""
     sure = 2 * 3 * len(linear.residual) + _SCALE_LOG_SIGMA**-2  # curvature in log s at the best
     scale = 1.0
-    for _ in range(4):
-        step, _, _ = _at_scale(linear, sums, scale)
+    for _ in range(3):
+        step = _at_scales(linear, sums, np.array([scale]))[0][0]
         left = sums.squares + 2 * step @ sums.slope + step @ sums.normal @ step
         wanted = 0.5 * np.log(left / (3 * len(linear.residual)))
         scale = float(np.exp(wanted * (1 - _SCALE_LOG_SIGMA**-2 / sure)))
@@ -148,16 +152,15 @@ def _markov_precision(time_s: Array, tau: float) -> tuple[Array, float]:
     return banded, -float(np.sum(np.log(new)))
 
 
-def _at_scale(linear: Linear, sums: _Sums, scale: float) -> tuple[Array, Array, float]:
-    """Step, its covariance, and log evidence (prior of the grid's point included) at one s."""
+def _at_scales(linear: Linear, sums: _Sums, scales: Array) -> tuple[Array, Array, Array]:
+    """Steps (S, P), their covariances, and log evidences (S,), the prior of s included, at each s (S,)."""
     p, n = len(linear.precision), len(linear.residual)
-    normal = sums.normal / scale**2 + np.diag(linear.precision)
-    slope = -sums.slope / scale**2 - linear.precision * linear.away
-    factor = np.linalg.cholesky(normal)
-    half = np.linalg.solve(factor, slope)
-    step = np.linalg.solve(factor.T, half)
-    log = -0.5 * (sums.squares / scale**2 + 6 * n * np.log(scale) + sums.log_determinant + 3 * n * np.log(2 * np.pi))
-    log += 0.5 * float(half @ half) + 0.5 * p * np.log(2 * np.pi) - float(np.sum(np.log(np.diag(factor))))
-    log -= 0.5 * (np.log(scale) / _SCALE_LOG_SIGMA) ** 2 + np.log(_SCALE_LOG_SIGMA) + 0.5 * np.log(2 * np.pi)
+    normal = sums.normal / scales[:, None, None] ** 2 + np.diag(linear.precision)
+    slope = -sums.slope / scales[:, None] ** 2 - linear.precision * linear.away
     inverse = np.linalg.inv(normal)
-    return step, 0.5 * (inverse + inverse.T), float(log)
+    inverse = 0.5 * (inverse + np.swapaxes(inverse, 1, 2))
+    step = np.einsum("sij,sj->si", inverse, slope)
+    log = -0.5 * (sums.squares / scales**2 + 6 * n * np.log(scales) + sums.log_determinant + 3 * n * np.log(2 * np.pi))
+    log += 0.5 * np.sum(slope * step, axis=1) + 0.5 * p * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(normal)[1]
+    log -= 0.5 * (np.log(scales) / _SCALE_LOG_SIGMA) ** 2 + np.log(_SCALE_LOG_SIGMA) + 0.5 * np.log(2 * np.pi)
+    return step, inverse, log

@@ -58,7 +58,7 @@ def _own(belief: Belief, before: Belief | None, noise: MotionNoise, domain: Doma
         pull: Array = np.zeros(d)
         log = float(belief.log_weights[k])
         if ahead is None or source is None:
-            information = np.asarray(np.linalg.inv(posterior))
+            information: Array = np.asarray(np.linalg.inv(posterior))
             if ahead is not None:  # a birth is weighed beside the leader
                 log -= ahead.weight_kept * float(ahead.belief.log_weights.max()) + float(np.log(BIRTH))
         else:

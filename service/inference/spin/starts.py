@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from service.inference.pose import angle_between, conjugate, log_so3, multiply
 from service.inference.spin.climb import MotionPrior, climb, log_posterior
 from service.inference.spin.frames import PassFrames
-from service.inference.spin.rigid_body import N_INERTIA, Motions, at_other_time, orientations, stacked
+from service.inference.spin.rigid_body import N_INERTIA, Motions, at_other_time, orientations, places, stacked
 from service.inference.state import Array
 
 _ANCHORS = 3  # numerical: frames that candidates begin at; the sharpest of each third of the pass
@@ -105,8 +105,7 @@ def _best(motions: Motions, score: Array, elapsed_s: Array, most: int) -> Motion
 
 def distinct(motions: Motions, score: Array, elapsed_s: Array, most: int) -> NDArray[np.intp]:
     """Indices of the highest candidates that differ somewhere in a window, highest first."""
-    some = elapsed_s[np.unique(np.linspace(0, len(elapsed_s) - 1, 9).round().astype(int))]
-    q = orientations(motions, some)
+    q = orientations(motions, places(float(elapsed_s[0]), float(elapsed_s[-1])))
     kept: list[int] = []
     for k in np.argsort(-score, kind="stable"):
         if len(kept) == most or score[k] < score.max() - _HOPELESS:
