@@ -53,7 +53,7 @@ def _turning(lead: Basin, absolute: bool) -> dict[str, Any]:
     body, fixed, rate = told(lead, basins.rate_body), told(lead, basins.rate_fixed), told(lead, basins.turning_rate)
     axis, kept = told(lead, basins.axis_body), told(lead, basins.axis_fixed)
     period, period_sigma = _period(rate)
-    degrees = np.rad2deg(1.0)
+    degrees = float(np.rad2deg(1.0))
     return {
         "angular_velocity_body_deg_s": _axes(body.value * degrees),
         "sigma_deg_s": _axes(body.sigma * degrees),
@@ -76,7 +76,7 @@ def _turning(lead: Basin, absolute: bool) -> dict[str, Any]:
 def _short(basin: Basin, absolute: bool) -> dict[str, Any]:
     """One course of several."""
     body, rate, kept = told(basin, basins.rate_body), told(basin, basins.turning_rate), told(basin, basins.axis_fixed)
-    degrees = np.rad2deg(1.0)
+    degrees = float(np.rad2deg(1.0))
     return {
         "angular_velocity_body_deg_s": _axes(body.value * degrees),
         "sigma_deg_s": _axes(body.sigma * degrees),

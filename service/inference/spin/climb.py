@@ -48,6 +48,7 @@ class MotionPrior:
         shape = motions.shape - self.shape if motions.shape.shape[1] else motions.shape
         return np.concatenate([np.zeros((len(motions), 3)), motions.rate, shape], axis=1)
 
+
 def log_posterior(frames: PassFrames, motions: Motions, prior: MotionPrior, reference_s: float) -> Array:
     """(B,) log of prior and likelihoods, every frame as if it erred by itself."""
     q = orientations(motions, frames.time_s - reference_s)

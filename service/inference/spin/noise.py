@@ -157,10 +157,10 @@ def _at_scales(linear: Linear, sums: _Sums, scales: Array) -> tuple[Array, Array
     p, n = len(linear.precision), len(linear.residual)
     normal = sums.normal / scales[:, None, None] ** 2 + np.diag(linear.precision)
     slope = -sums.slope / scales[:, None] ** 2 - linear.precision * linear.away
-    inverse = np.linalg.inv(normal)
-    inverse = 0.5 * (inverse + np.swapaxes(inverse, 1, 2))
+    found = np.linalg.inv(normal)
+    inverse = np.asarray(0.5 * (found + np.swapaxes(found, 1, 2)))
     step = np.einsum("sij,sj->si", inverse, slope)
     log = -0.5 * (sums.squares / scales**2 + 6 * n * np.log(scales) + sums.log_determinant + 3 * n * np.log(2 * np.pi))
     log += 0.5 * np.sum(slope * step, axis=1) + 0.5 * p * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(normal)[1]
     log -= 0.5 * (np.log(scales) / _SCALE_LOG_SIGMA) ** 2 + np.log(_SCALE_LOG_SIGMA) + 0.5 * np.log(2 * np.pi)
-    return step, inverse, log
+    return step, np.asarray(inverse), np.asarray(log)

