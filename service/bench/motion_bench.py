@@ -29,9 +29,9 @@ class MotionRow:
     law: str  # of the truth
     frames: int
     rate_deg_s: float
-    sigma_deg: float  # of a frame
-    stays: float
-    lasts_s: float
+    sigma_deg: float | None  # of a frame; None: as the tracker has it
+    stays: float | None
+    lasts_s: float | None
     nutation_deg: float
     probability_of_law: float
     course_right: bool  # orientations within 6 degrees of the truth throughout

@@ -14,6 +14,7 @@ def motion(
     span: Annotated[float, typer.Option(min=0.1, help="Of each pass, s.")] = 60.0,
     nutation: Annotated[float, typer.Option(min=0, max=60, help="Least of tumbling bodies, degrees.")] = 0.0,
     slowest: Annotated[float, typer.Option(min=1e-3, help="Rate, °/s.")] = 0.05,
+    tracked: Annotated[int, typer.Option(min=0, help="So many passes drawn and tracked, in the place of streams.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of the passes.")] = 0,
     json: Annotated[Path | None, typer.Option("--json", help="Write the rows as JSON.")] = None,
 ) -> None:
@@ -27,6 +28,11 @@ def motion(
         typer.echo(f"{row.law} {row.rate_deg_s:.3f} °/s: {row.vector_error_deg_s:.4f} °/s off", err=True)
 
     plan = StreamPlan(frames, span, (slowest, max(10.0, slowest)), least_nutation_deg=nutation)
-    rows = run_streams(plan, passes, seed, tell)
+    if tracked:
+        from service.bench.tracked_motion import run_tracked
+
+        rows = run_tracked(plan, tracked, seed, tell)
+    else:
+        rows = run_streams(plan, passes, seed, tell)
     document = motion_document(dict(describe_machine()), rows)
     publish(document, (motion_table(document),), None, json, None)
