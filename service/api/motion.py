@@ -61,6 +61,40 @@ class Inertia(Wire):
     nutation_sigma_deg: float
 
 
+class AttitudeModeProbabilities(Wire):
+    """All as likely before; they sum to 1."""
+
+    inertially_fixed: float
+    nadir_pointing: float
+    yaw_steering: float
+    sun_pointing: float
+    spin_stabilised: float
+    tumbling: float
+
+
+class RollPitchYaw(Wire):
+    """About x along the orbit (of `yaw_steering` across the other two), y against its normal, z to nadir."""
+
+    roll: float
+    pitch: float
+    yaw: float
+
+
+class AttitudeMode(Wire):
+    """What holds the body, or that nothing does."""
+
+    mode: Literal["inertially_fixed", "nadir_pointing", "yaw_steering", "sun_pointing", "spin_stabilised", "tumbling"]
+    """The most probable."""
+    probabilities: AttitudeModeProbabilities
+    offset_deg: float | None
+    """From the nearest attitude whose axes are the reference's; of `sun_pointing` from the Sun to the nearest axis."""
+    sigma_deg: float | None
+    offset_axes_deg: RollPitchYaw | None
+    sigma_axes_deg: RollPitchYaw | None
+    body_axis: Literal["+x", "+y", "+z", "-x", "-y", "-z"] | None
+    """Of the mesh, that points to nadir, or to the Sun."""
+
+
 class MotionErrors(Wire):
     """How the frames err."""
 
@@ -105,6 +139,8 @@ class PassMotion(Wire):
     orientation_sigma_deg: float
     alternatives: list[MotionAlternative]
     """All courses with a probability of 0.001 or more, most probable first: this one among them."""
+    attitude_mode: AttitudeMode | None
+    """Null where the camera's orientation or the object's orbit is not known."""
     inertia: Inertia | None
     """Of `tumbling` only."""
     errors: MotionErrors

@@ -42,10 +42,25 @@ class Stream:
 
 
 def draw_stream(rng: np.random.Generator, plan: StreamPlan, *, tumbling: bool) -> Stream:
-    """One pass: every frame has the truth and its twin as modes, and errs alike with its neighbours."""
+    """One pass of a motion told at its middle."""
     times = np.linspace(0.0, plan.span_s, plan.frames)
     truth = draw_motion(rng, plan, tumbling=tumbling)
-    q = orientations(truth, times - plan.span_s / 2)[0]
+    seen = seen_stream(rng, times, orientations(truth, times - plan.span_s / 2)[0])
+    return Stream(seen.frames, truth, seen.sigma_deg, seen.stays, seen.lasts_s)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What frames say, and how they err."""
+
+    frames: PassFrames
+    sigma_deg: float
+    stays: float
+    lasts_s: float
+
+
+def seen_stream(rng: np.random.Generator, times: Array, q: Array) -> Seen:
+    """Frames of orientations (n, 4): each has the truth and its twin as modes, and errs alike with its neighbours."""
     sigma_deg = float(np.exp(rng.uniform(*np.log(_SIGMAS_DEG))))
     stays, lasts_s = float(rng.choice(_STAYS)), float(rng.choice(_LASTS_S))
     widths = np.deg2rad(sigma_deg) * np.exp(rng.normal(0.0, 0.4, 3))
@@ -58,7 +73,7 @@ def draw_stream(rng: np.random.Generator, plan: StreamPlan, *, tumbling: bool) -
     modes = [np.stack(pair) for pair in zip(seen, twins, strict=True)]
     spreads = [np.stack([np.diag(widths**2)] * 2)] * len(times)
     weights = [np.array([p, 1 - p]) for p in preferred]
-    return Stream(pass_frames(times, modes, spreads, weights), truth, sigma_deg, stays, lasts_s)
+    return Seen(pass_frames(times, modes, spreads, weights), sigma_deg, stays, lasts_s)
 
 
 def draw_motion(rng: np.random.Generator, plan: StreamPlan, *, tumbling: bool) -> Motions:

@@ -15,6 +15,7 @@ def motion(
     nutation: Annotated[float, typer.Option(min=0, max=60, help="Least of tumbling bodies, degrees.")] = 0.0,
     slowest: Annotated[float, typer.Option(min=1e-3, help="Rate, °/s.")] = 0.05,
     tracked: Annotated[int, typer.Option(min=0, help="So many passes drawn and tracked, in the place of streams.")] = 0,
+    modes: Annotated[int, typer.Option(min=0, help="So many passes in attitude modes, in the place of both.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of the passes.")] = 0,
     json: Annotated[Path | None, typer.Option("--json", help="Write the rows as JSON.")] = None,
 ) -> None:
@@ -23,6 +24,10 @@ def motion(
     from service.bench.motion_bench import MotionRow, motion_document, motion_table, run_streams
     from service.bench.motion_streams import StreamPlan
     from service.cli.bench_output import publish
+
+    if modes:
+        _modes(modes, frames, seed, json)
+        return
 
     def tell(row: MotionRow) -> None:
         typer.echo(f"{row.law} {row.rate_deg_s:.3f} °/s: {row.vector_error_deg_s:.4f} °/s off", err=True)
@@ -36,3 +41,15 @@ def motion(
         rows = run_streams(plan, passes, seed, tell)
     document = motion_document(dict(describe_machine()), rows)
     publish(document, (motion_table(document),), None, json, None)
+
+
+def _modes(passes: int, frames: int, seed: int, json: Path | None) -> None:
+    from service.bench.machine import describe_machine
+    from service.bench.mode_streams import ModeRow, mode_document, mode_table, run_modes
+    from service.cli.bench_output import publish
+
+    def tell(row: ModeRow) -> None:
+        typer.echo(f"{row.truth}: {row.told} {row.probability:.3f}", err=True)
+
+    document = mode_document(describe_machine(), run_modes(passes, frames, seed, tell))
+    publish(document, (mode_table(document),), None, json, None)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from service.inference.spin import basins
-from service.inference.spin.basins import Basin, PassMotion, Told, told
+from service.inference.spin.alignment import offset, tilt
+from service.inference.spin.basins import AttitudeModes, Basin, PassMotion, Told, told
 from service.inference.spin.rigid_body import inertia
 from service.inference.state import Array
 from service.sessions.absolute import named
@@ -19,6 +20,8 @@ _SEEN_SIGMAS = 3.0  # a rate that is less is told without a period
 _LEAST_TOLD = 0.001  # probability of a course that is listed
 _DECIDED = 0.9  # probability from which one course is told as the answer
 _MOST_EXPLAINED = 0.5  # share of the frames that a motion should explain
+_POINTED = ("nadir_pointing", "yaw_steering", "sun_pointing")
+_AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 
 
 def motion_document(
@@ -42,6 +45,7 @@ def motion_document(
             for p, basin in courses
             if p >= _LEAST_TOLD
         ],
+        "attitude_mode": None if found.attitude is None else _attitude_mode(found.attitude),
         "inertia": _inertia(lead) if found.model == "tumbling" else None,
         "errors": {"scale": lead.scale, "independent_frames": lead.independent},
         "warnings": _warnings(found, lead, courses, absolute),
@@ -100,6 +104,41 @@ def _inertia(lead: Basin) -> dict[str, Any]:
     }
 
 
+def _attitude_mode(found: AttitudeModes) -> dict[str, Any]:
+    """The most probable mode, and how far from it a body that is held stands."""
+    best = found.best
+    answer = {
+        "mode": best,
+        "probabilities": dict(found.probabilities),
+        "offset_deg": None,
+        "sigma_deg": None,
+        "offset_axes_deg": None,
+        "sigma_axes_deg": None,
+        "body_axis": None,
+    }
+    if best not in _POINTED:
+        return answer
+    basin = found.held[best]
+    q, spread = basin.motion.quaternion[0], np.rad2deg(np.sqrt(np.diag(basin.covariance)[:3]))
+    if best == "sun_pointing":
+        angle, axis = tilt(q)
+        size, sigma = float(np.rad2deg(angle)), float(np.sqrt(0.5 * np.sum(spread[:2] ** 2)))
+        return {**answer, "offset_deg": size, "sigma_deg": sigma, "body_axis": _AXES[axis]}
+    turn, aligned = offset(q)
+    size = float(np.rad2deg(np.linalg.norm(turn)))
+    along = turn / max(float(np.linalg.norm(turn)), 1e-9)
+    sigma = float(np.rad2deg(np.sqrt(along @ basin.covariance[:3, :3] @ along)))
+    names = ("roll", "pitch", "yaw")
+    return {
+        **answer,
+        "offset_deg": size,
+        "sigma_deg": sigma,
+        "offset_axes_deg": dict(zip(names, np.rad2deg(turn).tolist(), strict=True)),
+        "sigma_axes_deg": dict(zip(names, spread.tolist(), strict=True)),
+        "body_axis": _AXES[tilt(aligned)[1]],
+    }
+
+
 def _probability(courses: list[tuple[float, Basin]], lead: Basin, found: PassMotion) -> float:
     """Of the course that the answer is of, whichever law it follows."""
     same = (p for p, one in courses if found.same(one, lead))
@@ -110,6 +149,8 @@ def _warnings(found: PassMotion, lead: Basin, courses: list[tuple[float, Basin]]
     out = []
     if not absolute:
         out.append("the camera's orientation is not known in every frame: rates and axes are against the camera")
+    elif found.attitude is None:
+        out.append("the attitude mode is not known: it needs the object's orbit, prior.orbit")
     if _probability(courses, lead, found) < _DECIDED:
         out.append("several motions explain these frames: see alternatives")
     if lead.explained < _MOST_EXPLAINED:

@@ -11,10 +11,13 @@ from datetime import datetime, timedelta
 import numpy as np
 import orjson
 
+from service.attitude.held import held_frames
+from service.attitude.orbit import Orbit
 from service.errors import ConflictError
+from service.inference.params import SessionConfig
 from service.inference.state import Array
 from service.sessions import config as session_config
-from service.sessions.absolute import absolute_camera
+from service.sessions.absolute import absolute_camera, mount_of
 from service.sessions.contenders import model_of
 from service.sessions.library import articulation_of, twins_of
 from service.sessions.motion_document import motion_document
@@ -68,7 +71,7 @@ class PassMotions:
         named = facts[-1].model  # where models are compared, the one that leads now, in the frames in which it led
         key = record.model_id if named is None else model_key(record.tenant, named)
         model = await self._database.read(models.get, key)
-        job = _job(record, model, stored, facts)
+        job = await asyncio.to_thread(_job, record, model, stored, facts)
         found = await self._engine.motion(record.tenant, job, self._blob)
         epoch = datetime.fromisoformat(facts[0].time) + timedelta(seconds=found.reference_s - stored[0].time_s)
         answer = motion_document(
@@ -88,12 +91,12 @@ def _facts(document: bytes) -> _Facts:
 def _job(
     record: SessionRecord, model: ModelRecord, stored: Sequence[StoredBelief], facts: Sequence[_Facts]
 ) -> MotionJob:
-    info = record.background_info or {}
+    info, config = record.background_info or {}, session_config.stored(record.config)
     counts = tuple(one.counts and one.model == facts[-1].model for one in facts)
     known = all(one.camera is not None for one, used in zip(facts, counts, strict=True) if used)
     nowhere = np.array([1.0, 0.0, 0.0, 0.0])
     return MotionJob(
-        config=session_config.stored(record.config),
+        config=config,
         model=model.blob_key,
         file_type=model.file_type,
         articulation=articulation_of(model),
@@ -101,6 +104,15 @@ def _job(
         width=int(info["width"]),
         height=int(info["height"]),
         beliefs=tuple(row.belief for row in stored),
+        references=_references(config, facts) if known else None,
         counts=counts,
         cameras=tuple(nowhere if one.camera is None else one.camera for one in facts) if known else None,
     )
+
+
+def _references(config: SessionConfig, facts: Sequence[_Facts]) -> dict[str, Array] | None:
+    """(frames, 3, 3) of the frames that the object may be held in; None where its orbit was not told."""
+    site = mount_of(config.camera).site
+    if config.prior.orbit is None or site is None:
+        return None
+    return held_frames(Orbit(config.prior.orbit), site, [datetime.fromisoformat(one.time) for one in facts])

@@ -203,7 +203,10 @@ class SmoothReport:
 
 @dataclass(frozen=True)
 class MotionJob:
-    """The motion of a pass: of every frame its packed belief (None: nothing known) and whether it counts."""
+    """The motion of a pass: of every frame its packed belief (None: nothing known) and whether it counts.
+
+    ``references``: of ``inference.spin.attitude_modes``; with ``cameras`` only.
+    """
 
     config: SessionConfig
     model: str  # key of the model file in ``blobs``
@@ -215,6 +218,7 @@ class MotionJob:
     beliefs: tuple[bytes | None, ...]
     counts: tuple[bool, ...]
     cameras: tuple[NDArray[np.float64], ...] | None = None  # (4,) camera -> GCRF of every frame; None: not known
+    references: Mapping[str, NDArray[np.float64]] | None = None  # (frames, 3, 3) reference -> GCRF, by attitude mode
     blobs: Mapping[str, bytes] = field(default_factory=dict)
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpu.mesh import Mesh
 from service.errors import ConflictError
@@ -13,8 +15,9 @@ from service.inference.belief import Belief
 from service.inference.domain import Domain
 from service.inference.motion import motion_noise
 from service.inference.pose import conjugate, from_matrices
+from service.inference.spin.attitude_modes import attitude_modes
 from service.inference.spin.basins import PassMotion
-from service.inference.spin.fit import LEAST_FRAMES, fit_pass
+from service.inference.spin.fit import LEAST_FRAMES, evenly, fit_pass
 from service.inference.spin.frames import PassFrames, pass_frames, seen_from, with_equivalents
 from service.inference.spin.own import Own, own_likelihoods
 from service.inference.spin.rigid_body import shape_of
@@ -43,16 +46,20 @@ def motion_of(job: MotionJob, mesh: Mesh | None) -> PassMotion:
     symmetries = held_symmetries(job.twins, job.articulation, articulation)
     # What lights the surfaces tells mirror twins apart; outlines do not.
     alike = [s for s in symmetries if s.kind == "rotation" or (bootstrap and s.kind == "mirror")]
-    frames = _frames(job, beliefs, own, alike)
+    frames, numbers = _frames(job, beliefs, own, alike)
     turns = [conjugate(from_matrices(np.asarray(s.matrix))) for s in alike if s.kind == "rotation"]
     rate_sigma = job.config.motion.rate_spread * float(np.sqrt(noise.jitter[0]))
-    return fit_pass(frames, rate_sigma, None if mesh is None else shape_of(second_moments(mesh)), turns)
+    found = fit_pass(frames, rate_sigma, None if mesh is None else shape_of(second_moments(mesh)), turns)
+    if job.references is None or job.cameras is None:
+        return found
+    references = {name: from_matrices(one[numbers]) for name, one in job.references.items()}
+    return replace(found, attitude=attitude_modes(frames, references, found))
 
 
 def _frames(
     job: MotionJob, beliefs: Sequence[Belief | None], own: Sequence[Own | None], alike: Sequence[Symmetry]
-) -> PassFrames:
-    """What the frames that count say by themselves, in order of time."""
+) -> tuple[PassFrames, NDArray[np.intp]]:
+    """What the frames that count say by themselves, in order of time, and their numbers."""
     told = [
         (belief.time_s, k, one)
         for k, (belief, one, counts) in enumerate(zip(beliefs, own, job.counts, strict=True))
@@ -62,9 +69,13 @@ def _frames(
         detail = f"a motion needs {LEAST_FRAMES} frames in which the object is seen, each at its own time"
         raise ConflictError(detail, frames=len(told), needed=LEAST_FRAMES)
     told.sort(key=lambda one: one[:2])
+    told = [told[k] for k in evenly(len(told))]
+    numbers = np.array([k for _, k, _ in told])
     parts = ([getattr(one, name) for _, _, one in told] for name in ("quaternion", "covariance", "weight"))
     frames = with_equivalents(pass_frames(np.array([time_s for time_s, _, _ in told]), *parts), alike)
-    return frames if job.cameras is None else seen_from(frames, np.array([job.cameras[k] for _, k, _ in told]))
+    if job.cameras is not None:
+        frames = seen_from(frames, np.array([job.cameras[k] for k in numbers]))
+    return frames, numbers
 
 
 def second_moments(mesh: Mesh) -> Array:

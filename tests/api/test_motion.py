@@ -1,6 +1,7 @@
 """`GET …/motion`: how the object of a session turned, from what the frames said."""
 
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from typing import ClassVar
 
 import numpy as np
@@ -8,13 +9,19 @@ import pytest
 from api_client import running
 from fake_worker import CUBE, FakeWorker
 
+from service.attitude.camera import Site, equatorial_camera
+from service.attitude.held import held_frames
+from service.attitude.orbit import Orbit
 from service.client import AsyncClient
 from service.inference.belief import Belief
-from service.inference.pose import exp_so3, multiply, rotation_matrices
+from service.inference.pose import exp_so3, from_matrices, multiply, rotation_matrices
 from service.inference.state import Poses
 
 pytestmark = pytest.mark.anyio
 RATE = np.deg2rad([3.0, -1.0, 2.0])
+START = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
+TLE = """1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9002
+2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10006"""
 CAMERA = {"ra_deg": 120.0, "dec_deg": 20.0, "position_angle_deg": 15.0}
 
 
@@ -23,9 +30,12 @@ class Turning(FakeWorker):
 
     jobs: ClassVar[list] = []
 
+    def orientation(self, index: int) -> np.ndarray:
+        return exp_so3(RATE * 0.5 * index)
+
     def track(self, job):
         rng = np.random.default_rng(job.frame_index)
-        turn = exp_so3(RATE * 0.5 * job.frame_index)[None]
+        turn = self.orientation(job.frame_index)[None]
         error = exp_so3(np.deg2rad(0.5) * rng.normal(size=(1, 3)))
         pose = Poses(multiply(turn, error), np.zeros((1, 2)), np.zeros(1), np.zeros((1, 0)))
         covariance = np.diag([2 * np.deg2rad(0.5) ** 2] * 3 + [0.1] * 9)[None]
@@ -69,6 +79,35 @@ async def test_the_rate_of_a_pass_in_body_and_gcrf(make_app):
     np.testing.assert_allclose(axis, turned / np.linalg.norm(turned), atol=1e-9)
 
 
+class Nadir(Turning):
+    """Tells of a body whose -y points to nadir, three degrees off in pitch; the camera stands still."""
+
+    def orientation(self, index: int) -> np.ndarray:
+        moment = START + timedelta(seconds=index / 2)
+        frame = held_frames(Orbit(TLE), Site(48.0, 16.0), [moment])["nadir_pointing"][0]
+        body = rotation_matrices(exp_so3(np.deg2rad([0.0, 3.0, 0.0]))) @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+        return from_matrices(equatorial_camera(120.0, 20.0, 15.0).T @ frame @ body)
+
+
+async def test_a_body_held_to_nadir_is_told_so(make_app):
+    camera = {"site_latitude_deg": 48.0, "site_longitude_deg": 16.0}
+    async with running(make_app(Nadir)) as api:
+        session_id = await api.ready_session(CUBE, camera=camera, prior={"orbit": TLE})
+        for n in range(40):
+            time = (START + timedelta(seconds=n / 2)).isoformat()
+            answer = await api.post(session_id, n, time=time, **CAMERA)
+            assert answer.status_code == 200, answer.text
+        found = (await api.http.get(f"/v1/sessions/{session_id}/motion")).json()
+    mode = found["attitude_mode"]
+    assert mode["mode"] == "nadir_pointing"
+    assert mode["probabilities"]["nadir_pointing"] > 0.9
+    assert sum(mode["probabilities"].values()) == pytest.approx(1.0)
+    assert mode["body_axis"] == "-y"
+    assert mode["offset_axes_deg"]["pitch"] == pytest.approx(3.0, abs=5 * mode["sigma_axes_deg"]["pitch"])
+    assert mode["offset_deg"] == pytest.approx(3.0, abs=5 * mode["sigma_deg"])
+    assert mode["sigma_deg"] < 0.5
+
+
 async def test_without_a_camera_rates_are_against_the_image(make_app):
     async with running(make_app(Turning)) as api:
         session_id = await api.ready_session(CUBE)
@@ -76,7 +115,7 @@ async def test_without_a_camera_rates_are_against_the_image(make_app):
             await api.post(session_id, n, time=f"2026-11-20T03:04:{5 + n / 2:09.6f}Z")
         found = (await api.http.get(f"/v1/sessions/{session_id}/motion")).json()
     assert found["relative_to"] == "camera"
-    assert found["axis_gcrf"] is None
+    assert found["axis_gcrf"] is found["attitude_mode"] is None
     assert any("camera" in warning for warning in found["warnings"])
     assert vector(found["sigma_deg_s"]).max() > 0.1  # four frames tell little
 

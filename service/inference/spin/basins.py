@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +14,8 @@ from service.inference.state import Array
 
 Model = Literal["constant_rate", "tumbling"]
 Bodies = Literal["free", "mesh"]
+MODES = ("inertially_fixed", "nadir_pointing", "yaw_steering", "sun_pointing", "spin_stabilised", "tumbling")
+"""Attitude modes: what holds a body, or that nothing does."""
 _SAME_RAD = 0.1  # numerical: two basins whose orientations are nowhere further apart are one course
 _DIFFERENCE = 1e-5  # numerical: of a difference quotient
 
@@ -34,6 +36,19 @@ class Basin:
 
 
 @dataclass(frozen=True)
+class AttitudeModes:
+    """Probabilities of ``MODES``, all as likely before; of each that holds a frame its best motion, told in that."""
+
+    probabilities: Mapping[str, float]
+    held: Mapping[str, Basin]
+
+    @property
+    def best(self) -> str:
+        """The most probable one."""
+        return max(self.probabilities, key=lambda name: self.probabilities[name])
+
+
+@dataclass(frozen=True)
 class PassMotion:
     """Basins, most probable first, with their probabilities."""
 
@@ -43,6 +58,7 @@ class PassMotion:
     probabilities: Array  # (K,)
     n_frames: int  # used
     rotations: tuple[Array, ...] = ()  # (4,) each: q s is seen as q is
+    attitude: AttitudeModes | None = None  # where orbit, Sun and camera are known
 
     def probability_of(self, model: Model) -> float:
         """Of a hypothesis."""

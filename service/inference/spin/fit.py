@@ -35,8 +35,6 @@ def fit_pass(
     ``rate_sigma`` (rad/s, each axis): of a rate of which nothing is known. ``mesh_shape`` (5,): the body's shape by
     its mesh. ``rotations`` (4,) each: q s is seen as q is, for each of them; such motions are told once.
     """
-    if len(frames) > _FRAMES:
-        frames = frames[np.linspace(0, len(frames) - 1, _FRAMES).round().astype(int)]
     reference_s = 0.5 * float(frames.time_s[0] + frames.time_s[-1])
     half_span_s = 0.5 * float(frames.time_s[-1] - frames.time_s[0])
     bodies: dict[Bodies, MotionPrior] = {"free": MotionPrior(rate_sigma, np.zeros(5), FREE_SHAPE_SIGMA)}
@@ -55,6 +53,11 @@ def fit_pass(
             basins += [replace(one, log_evidence=one.log_evidence + float(log_prior)) for one in found if one]
     ranked = _ranked(basins, reference_s, half_span_s, len(frames))
     return replace(ranked, rotations=tuple(rotations))
+
+
+def evenly(count: int) -> NDArray[np.intp]:
+    """Numbers of the frames that are taken of ``count``: all, or of a long pass so many that it takes seconds."""
+    return np.unique(np.linspace(0, count - 1, min(count, _FRAMES)).round().astype(np.intp))
 
 
 def _ranked(basins: list[Basin], reference_s: float, half_span_s: float, n_frames: int) -> PassMotion:

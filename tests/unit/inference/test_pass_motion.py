@@ -36,7 +36,7 @@ def constant(rate_deg_s: float, seed: int = 0) -> Motions:
 
 @pytest.mark.parametrize("tumbling", [False, True])
 def test_a_pass_with_twins_outliers_and_alike_errors_is_found_again(tumbling):
-    plan = StreamPlan(frames=120, rates_deg_s=(3.0, 3.0), least_nutation_deg=15.0)
+    plan = StreamPlan(frames=80, rates_deg_s=(3.0, 3.0), least_nutation_deg=15.0)
     one = draw_stream(np.random.default_rng(5), plan, tumbling=tumbling)
     found = fit_pass(one.frames, ANY)
     lead = found.basins[0]
@@ -52,14 +52,14 @@ def test_a_pass_with_twins_outliers_and_alike_errors_is_found_again(tumbling):
 def test_spreads_hold_when_truth_and_errors_are_drawn_from_their_priors():
     """Simulation-based calibration (Talts et al. 2018) of the rate, from the truth's own basin."""
     rng, inside = np.random.default_rng(1), []
-    for seed in range(60):
+    for seed in range(40):
         share = float(rng.choice((0.0, *_SHARES)))
         alike = {"stays": share, "lasts_s": float(rng.choice(_LASTS_S))}
         truth, times = constant(2.0, seed), np.linspace(-10.0, 10.0, 60)
         basin = weighed(stream(truth, times, 1.0, rng, **alike), truth, MotionPrior(ANY, np.zeros(5), 1.0), 0.0)
         off = basin.motion.rate[0] - truth.rate[0]
         inside.append(chi2.cdf(off @ np.linalg.solve(basin.covariance[3:6, 3:6], off), 3))
-    assert 0.33 < np.mean(np.array(inside) < 0.5) < 0.70  # 2.6 standard deviations of 60 draws
+    assert 0.29 < np.mean(np.array(inside) < 0.5) < 0.71  # 2.6 standard deviations of 40 draws
     assert np.mean(np.array(inside) < 0.9) > 0.82
 
 
