@@ -51,7 +51,7 @@ def test_priors_of_orientation_have_the_mass_one(law):
 @pytest.mark.parametrize("mode", ["yaw_steering", "sun_pointing"])
 def test_each_mode_is_told_from_the_others(mode):
     rng = np.random.default_rng(3)
-    times = np.linspace(0.0, 200.0, 40)
+    times = np.linspace(0.0, 100.0, 60)
     references = draw_references(rng, times, 700.0)
     frames = seen_stream(rng, times, draw_orientations(rng, mode, times, references)).frames
     found = attitude_modes(frames, references, fit_pass(frames, float(np.deg2rad(25.0))))
