@@ -9,7 +9,7 @@ import typer
 from service.cli.remote_options import DEFAULT_URL, Key, Url, connected
 
 if TYPE_CHECKING:
-    from service.api.motion import PassMotion, Vector
+    from service.api.motion import AttitudeMode, PassMotion, Vector
 
 
 def motion(
@@ -37,6 +37,8 @@ def lines(found: PassMotion) -> list[str]:
     ]
     if found.axis_gcrf is not None:
         out.append(f"axis GCRF  {_vector(found.axis_gcrf)} ± {found.axis_gcrf_sigma_deg:.2f}°")
+    if found.attitude_mode is not None:
+        out.append(f"mode       {mode_line(found.attitude_mode)}")
     if found.inertia is not None:
         ratios = " ".join(
             f"{value:.3f} ± {sigma:.3f}"
@@ -46,6 +48,15 @@ def lines(found: PassMotion) -> list[str]:
     out.append(f"frames     {frames.used} of {frames.stored}, {frames.explained:.0%} of these explained")
     out.append(f"certainty  {found.probability:.3f}")
     return out + [f"note       {warning}" for warning in found.warnings]
+
+
+def mode_line(mode: AttitudeMode) -> str:
+    """What holds the body, how surely, and how far off."""
+    name = mode.mode.replace("_", " ")
+    line = f"{name} (p {getattr(mode.probabilities, mode.mode):.3f})"
+    if mode.offset_deg is None:
+        return line
+    return f"{line}, {mode.body_axis}, {mode.offset_deg:.2f} ± {mode.sigma_deg:.2f}° off"
 
 
 def _vector(vector: Vector) -> str:

@@ -50,6 +50,9 @@ def motion_of(job: MotionJob, mesh: Mesh | None) -> PassMotion:
     turns = [conjugate(from_matrices(np.asarray(s.matrix))) for s in alike if s.kind == "rotation"]
     rate_sigma = job.config.motion.rate_spread * float(np.sqrt(noise.jitter[0]))
     found = fit_pass(frames, rate_sigma, None if mesh is None else shape_of(second_moments(mesh)), turns)
+    if not found.basins:
+        detail = f"no motion of a free or steadily turning body explains {LEAST_FRAMES} of the {len(frames)} frames"
+        raise ConflictError(detail, frames=len(frames))
     if job.references is None or job.cameras is None:
         return found
     references = {name: from_matrices(one[numbers]) for name, one in job.references.items()}

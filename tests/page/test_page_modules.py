@@ -98,6 +98,13 @@ def test_a_motion_is_told_in_rows(answers):
         "inertia": None,
         "frames": {"stored": 40, "used": 38, "explained": 1},
         "warnings": ["against the camera"],
+        "attitude_mode": {
+            "mode": "nadir_pointing",
+            "probabilities": {"nadir_pointing": 0.996},
+            "offset_deg": 3.12,
+            "sigma_deg": 0.4,
+            "body_axis": "+z",
+        },
     }
     rows = answers("spin", "return m.spinRows(given)", found)
     assert rows == [
@@ -105,6 +112,7 @@ def test_a_motion_is_told_in_rows(answers):
         ["Rate", "3.7417 ± 0.0123 °/s against the camera"],
         ["Period", "no turning seen"],
         ["Axis in the body", "0.600, -0.800, 0.000 ± 0.25°"],
+        ["Attitude mode", "nadir pointing, 99.6 %, +z, 3.12 ± 0.40° off"],
         ["Frames", "38 of 40, 100 % of these explained"],
         ["Note", "against the camera"],
     ]

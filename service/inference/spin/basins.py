@@ -70,8 +70,8 @@ class PassMotion:
         return "tumbling" if self.probability_of("tumbling") > 0.5 else "constant_rate"
 
     def best_of(self, model: Model) -> Basin:
-        """The most probable basin of a hypothesis."""
-        return next(basin for basin in self.basins if basin.model == model)
+        """The most probable basin of a hypothesis; of the other where this one has none."""
+        return next((basin for basin in self.basins if basin.model == model), self.basins[0])
 
     def same(self, one: Basin, other: Basin) -> bool:
         """Whether two basins are of the same orientations, or of such as look the same."""

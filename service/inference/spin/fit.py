@@ -30,7 +30,7 @@ _LEAST_PRECISION = 1e-6  # numerical: rad^-2, of an orientation that may be any
 def fit_pass(
     frames: PassFrames, rate_sigma: float, mesh_shape: Array | None = None, rotations: Sequence[Array] = ()
 ) -> PassMotion:
-    """The posterior over motions of a pass of ``LEAST_FRAMES`` or more.
+    """The posterior over motions of a pass of ``LEAST_FRAMES`` or more; no basins where none explains so many.
 
     ``rate_sigma`` (rad/s, each axis): of a rate of which nothing is known. ``mesh_shape`` (5,): the body's shape by
     its mesh. ``rotations`` (4,) each: q s is seen as q is, for each of them; such motions are told once.
@@ -62,6 +62,8 @@ def evenly(count: int) -> NDArray[np.intp]:
 
 def _ranked(basins: list[Basin], reference_s: float, half_span_s: float, n_frames: int) -> PassMotion:
     """Most probable first. One law of errors for all: how many frames count is what it says of the best."""
+    if not basins:
+        return PassMotion(reference_s, half_span_s, (), np.zeros(0), n_frames)
     log = np.array([basin.log_evidence for basin in basins])
     lead = basins[int(np.argmax(log))]
     log += lead.independent / (lead.explained * n_frames) * np.array([basin.log_weights for basin in basins])

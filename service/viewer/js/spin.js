@@ -34,6 +34,11 @@ const LAWS = { constant_rate: "turns at a constant rate", tumbling: "tumbles fre
 const share = (p) => `${(100 * p).toFixed(p > 0.99 && p < 1 ? 1 : 0)} %`;
 const axis = ({ x, y, z }) => [x, y, z].map((value) => value.toFixed(3)).join(", ");
 
+function modeText({ mode, probabilities, offset_deg, sigma_deg, body_axis }) {
+  const off = offset_deg === null ? "" : `, ${body_axis}, ${offset_deg.toFixed(2)} ± ${sigma_deg.toFixed(2)}° off`;
+  return `${mode.replace("_", " ")}, ${share(probabilities[mode])}${off}`;
+}
+
 // [[name, value]…] of an answer of `…/motion`.
 export function spinRows(found) {
   const against = found.relative_to === "GCRF" ? "" : " against the camera";
@@ -44,6 +49,7 @@ export function spinRows(found) {
     ["Axis in the body", `${axis(found.axis_body)} ± ${found.axis_body_sigma_deg.toFixed(2)}°`],
   ];
   if (found.axis_gcrf) rows.push(["Axis in GCRF", `${axis(found.axis_gcrf)} ± ${found.axis_gcrf_sigma_deg.toFixed(2)}°`]);
+  if (found.attitude_mode) rows.push(["Attitude mode", modeText(found.attitude_mode)]);
   if (found.inertia) {
     const told = found.inertia.ratios.map((ratio, k) => `${ratio.toFixed(3)} ± ${found.inertia.ratios_sigma[k].toFixed(3)}`);
     rows.push(["Moments of inertia over the greatest", told.join(", ")]);
