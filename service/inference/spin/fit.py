@@ -74,7 +74,7 @@ def _ranked(basins: list[Basin], reference_s: float, half_span_s: float, n_frame
 
 def _climbed(frames: PassFrames, start: Motions, prior: MotionPrior, reference_s: float) -> Motions:
     """The distinct tops that are within reach of the highest, highest first."""
-    for rounds in _ROUNDS:
+    for rounds in _ROUNDS if len(start) else ():
         start, score = climb(frames, start, prior, reference_s, rounds)
         start = start[distinct(start, score, frames.time_s - reference_s, _BASINS)]
     return start

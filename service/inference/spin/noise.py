@@ -16,8 +16,8 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from service.inference.state import Array
 
-_SHARES = (0.1, 0.25, 0.5, 0.8)  # prior: of the variance that stays, all alike; and none
-_LASTS_S = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # prior: log-uniform from frames' intervals to a pass
+SHARES = (0.1, 0.25, 0.5, 0.8)  # prior: of the variance that stays, all alike; and none
+LASTS_S = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # prior: log-uniform from frames' intervals to a pass
 _AROUND = np.linspace(-2.5, 2.5, 7)  # numerical: places of s about its best, in standard deviations of its log
 _SCALE_LOG_SIGMA = 0.5  # prior: stated spreads are right within a factor 1.6
 _LEAST_STEP_S = 1e-4  # numerical: frames of one time
@@ -75,10 +75,10 @@ def solve(linear: Linear) -> Solved:
 
 def _grid() -> Iterator[tuple[float, float, float]]:
     """Share, tau, and the log of their prior probability: every share as likely, and every tau."""
-    each = -float(np.log(len(_SHARES) + 1))
+    each = -float(np.log(len(SHARES) + 1))
     yield 0.0, 1.0, each
-    for a, tau in product(_SHARES, _LASTS_S):
-        yield a, tau, each - float(np.log(len(_LASTS_S)))
+    for a, tau in product(SHARES, LASTS_S):
+        yield a, tau, each - float(np.log(len(LASTS_S)))
 
 
 def _scales(linear: Linear, sums: _Sums) -> tuple[Array, float]:

@@ -15,7 +15,7 @@ from service.inference.pose import conjugate, exp_so3, log_so3, multiply, rotati
 from service.inference.state import Array
 
 _STEP_RAD = 0.3  # numerical: turn of a step of the integration; over 50 rad its error is 1e-5 rad
-_MOST_STEPS = 4000  # numerical: 600 rad, past which candidates are given up
+FARTHEST_RAD = 600.0  # numerical: a free body is followed no further from the reference time
 _DIFFERENCE = 1e-5  # numerical: of a difference quotient, rad/s and log
 _ROOT_HALF = np.sqrt(0.5)
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
@@ -159,7 +159,7 @@ def _integrated(rates: Array, moments: Array, elapsed_s: Array, sign: float, fas
     Each step's turn is Magnus's to fourth order.
     """
     span = float(np.max(elapsed_s))
-    n_steps = int(np.clip(np.ceil(fastest * span / _STEP_RAD), 4, _MOST_STEPS))
+    n_steps = int(np.clip(np.ceil(fastest * span / _STEP_RAD), 4, 2 * FARTHEST_RAD / _STEP_RAD))
     h = span / n_steps if span > 0 else 1.0
     principal, axes = np.linalg.eigh(moments)
     axes[..., 0] *= np.linalg.det(axes)[:, None]

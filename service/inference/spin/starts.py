@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 from service.inference.pose import angle_between, conjugate, log_so3, multiply
 from service.inference.spin.climb import MotionPrior, climb, log_posterior
 from service.inference.spin.frames import PassFrames
-from service.inference.spin.rigid_body import N_INERTIA, Motions, at_other_time, orientations, places, stacked
+from service.inference.spin.rigid_body import (
+    FARTHEST_RAD,
+    N_INERTIA,
+    Motions,
+    at_other_time,
+    orientations,
+    places,
+    stacked,
+)
 from service.inference.state import Array
 
 _ANCHORS = 3  # numerical: frames that candidates begin at; the sharpest of each third of the pass
@@ -45,12 +53,12 @@ def _from_anchor(frames: PassFrames, prior: MotionPrior, k: int, tumbling: bool,
     if tumbling:
         motions = _with_shapes(motions, prior)
     stage, last = 0, len(near)
-    while last < len(frames):
+    while len(motions) and last < len(frames):
         stage += 1
         window, last = _window(frames, at, stage), _count(len(frames), stage)
         motions, score = climb(window, motions, prior, at, _ROUNDS)
         motions = _best(motions, score, window.time_s - at, 2 * _TUMBLING if tumbling else _FOLLOWED)
-    return at_other_time(motions, reference_s - at)
+    return at_other_time(motions, reference_s - at) if len(motions) else motions
 
 
 def pairs(frames: PassFrames, prior: MotionPrior, k: int) -> Motions:
@@ -99,12 +107,17 @@ def _window(frames: PassFrames, at_s: float, stage: int) -> PassFrames:
 
 
 def _best(motions: Motions, score: Array, elapsed_s: Array, most: int) -> Motions:
-    """The highest, each once."""
+    """The highest, each once; none that a free body would have to be followed too far."""
+    if motions.shape.shape[1]:
+        near = np.linalg.norm(motions.rate, axis=1) * np.max(np.abs(elapsed_s)) < FARTHEST_RAD
+        motions, score = motions[near], score[near]
     return motions[distinct(motions, score, elapsed_s, most)]
 
 
 def distinct(motions: Motions, score: Array, elapsed_s: Array, most: int) -> NDArray[np.intp]:
     """Indices of the highest candidates that differ somewhere in a window, highest first."""
+    if not len(motions):
+        return np.zeros(0, dtype=np.intp)
     q = orientations(motions, places(float(elapsed_s[0]), float(elapsed_s[-1])))
     kept: list[int] = []
     for k in np.argsort(-score, kind="stable"):

@@ -12,7 +12,7 @@ from service.inference.spin.basins import inertia_ratios, same_course, told, tur
 from service.inference.spin.climb import MotionPrior
 from service.inference.spin.fit import fit_pass, weighed
 from service.inference.spin.frames import PassFrames, pass_frames
-from service.inference.spin.noise import _LASTS_S, _SHARES
+from service.inference.spin.noise import LASTS_S, SHARES
 from service.inference.spin.rigid_body import Motions, orientations
 
 ANY = float(np.deg2rad(25.0))
@@ -53,8 +53,8 @@ def test_spreads_hold_when_truth_and_errors_are_drawn_from_their_priors():
     """Simulation-based calibration (Talts et al. 2018) of the rate, from the truth's own basin."""
     rng, inside = np.random.default_rng(1), []
     for seed in range(40):
-        share = float(rng.choice((0.0, *_SHARES)))
-        alike = {"stays": share, "lasts_s": float(rng.choice(_LASTS_S))}
+        share = float(rng.choice((0.0, *SHARES)))
+        alike = {"stays": share, "lasts_s": float(rng.choice(LASTS_S))}
         truth, times = constant(2.0, seed), np.linspace(-10.0, 10.0, 60)
         basin = weighed(stream(truth, times, 1.0, rng, **alike), truth, MotionPrior(ANY, np.zeros(5), 1.0), 0.0)
         off = basin.motion.rate[0] - truth.rate[0]
