@@ -21,6 +21,7 @@ from typing import Any, TypeVar, Unpack
 import httpx
 
 from service.api import schemas
+from service.api.motion import PassMotion
 from service.remote import calls
 from service.remote.async_client import AsyncClient
 from service.remote.calls import Arrays, Call, Image
@@ -175,6 +176,10 @@ class Client:
         path = f"/v1/sessions/{session_id}/estimates"
         for page in self._connection.pages(schemas.EstimateList, path, {"after": after, "smoothed": smoothed or None}):
             yield from page.estimates
+
+    def motion(self, session_id: str) -> PassMotion:
+        """How the object turned, from all frames. Raises ``ClientError`` (409) for too few of them."""
+        return self.call(calls.get(PassMotion, f"/v1/sessions/{session_id}/motion"))
 
     def overlay(self, session_id: str, index: int) -> bytes:
         """PNG of a frame with the best silhouette in blue."""

@@ -17,6 +17,7 @@ from service.errors import ImageMismatchError, MeshFileError, MissingBlobError
 from service.imaging.decode import decode_frame
 from service.imaging.split import SplitFrame, split_frames
 from service.inference.articulation import Articulation, Joint, Stage, hold
+from service.inference.spin.basins import PassMotion
 from service.inference.state import Estimate, FilterState, Mode, PoseEstimate, Poses, Spread
 from service.models.mesh_glb import mesh_glb
 from service.workers.base import (
@@ -27,6 +28,7 @@ from service.workers.base import (
     MeshJob,
     ModelJob,
     ModelReport,
+    MotionJob,
     OverlayJob,
     RestoreJob,
     RestoreReport,
@@ -34,6 +36,7 @@ from service.workers.base import (
     SmoothReport,
 )
 from service.workers.codec import decode as unpack
+from service.workers.motion import motion_of
 from service.workers.restoring import check_state
 from service.workers.smoothing import smooth_pass
 from service.workers.splitting import SplitJob
@@ -121,6 +124,9 @@ class FakeWorker:
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
         return smooth_pass(job)
+
+    def motion(self, job: MotionJob) -> PassMotion:
+        return motion_of(job, None)
 
     def describe(self) -> Mapping[str, Any]:
         return {"scorer": "fake"}

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.api import schemas
 from service.api.auth import ReadSession
 from service.api.description import bytes_answered
+from service.api.motion import PassMotion
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
 from service.exports.formats import FORMATS
@@ -126,6 +127,15 @@ async def read_frame_fits(session: ReadSession, index: Index, services: Services
     """The frame with its best pose in `POSE_*` cards: the file that was sent where that was FITS, else a new one."""
     body = await services.archive.frame_fits(session, index)
     return Response(body, media_type="image/fits", headers={"Cache-Control": "private, max-age=86400"})
+
+
+@router.get("/motion", response_model=PassMotion, responses=problems(404, 409, 503))
+async def read_motion(session: ReadSession, services: ServicesDep) -> Response:
+    """How the object turned, from all frames and all their modes: rate, axis and period, with their spreads.
+
+    409 where the object is seen in fewer than three frames.
+    """
+    return _json(await services.archive.motion(session))
 
 
 @router.get(

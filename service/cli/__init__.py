@@ -12,6 +12,7 @@ from service.cli.export import export
 from service.cli.ingest import ingest
 from service.cli.keys import keys
 from service.cli.model import model
+from service.cli.motion import motion
 from service.cli.openapi import openapi
 from service.cli.plot import plot
 from service.cli.serve import serve
@@ -29,6 +30,7 @@ app.command("run")(track)
 app.command()(doctor)
 app.command()(ingest)
 app.command()(export)
+app.command()(motion)
 app.command()(openapi)
 app.command()(verify)
 app.command()(backup)

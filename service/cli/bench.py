@@ -15,6 +15,7 @@ from service.cli.bench_light import light
 from service.cli.bench_likelihood import likelihood
 from service.cli.bench_load import load
 from service.cli.bench_misfits import misfits
+from service.cli.bench_motion import motion
 from service.cli.bench_real import real
 from service.cli.bench_scorers import scorers
 from service.cli.bench_step import step
@@ -41,6 +42,7 @@ bench.command()(step)
 bench.command()(light)
 bench.command()(likelihood)
 bench.command()(misfits)
+bench.command()(motion)
 bench.command()(real)
 bench.command()(load)
 bench.command()(engines)

@@ -122,12 +122,20 @@ class OfflinePass:
                 index += 1
 
     def _export(self, client: Client, session: Session, names: Sequence[str], console: Console) -> None:
-        """The table that the service exports, with the files' names; the attitudes, where they are known."""
+        """The table that the service exports, with the files' names; motion and attitudes, where they are known."""
         text = client.export(session.session_id, "csv", smoothed=self.smoothed).decode()
         with (self.out / "estimates.csv").open("w", newline="") as file:
             table = csv.writer(file)
             for row, name in zip(csv.reader(io.StringIO(text)), ["name", *names], strict=True):
                 table.writerow([*row, name])
+        try:
+            motion = client.motion(session.session_id)
+        except RefusedError as error:
+            if error.status != _CONFLICT:
+                raise
+            console.print(f"no motion.json: {error.detail}")
+        else:
+            (self.out / "motion.json").write_text(motion.model_dump_json(indent=2) + "\n")
         try:
             attitudes = client.export(session.session_id, "aem", smoothed=self.smoothed)
         except RefusedError as error:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar, Unpack
 import httpx
 
 from service.api import schemas
+from service.api.motion import PassMotion
 from service.remote import calls
 from service.remote.aio import AsyncConnection
 from service.remote.calls import Arrays, Call, Image
@@ -172,6 +173,10 @@ class AsyncClient:
         ):
             for item in page.estimates:
                 yield item
+
+    async def motion(self, session_id: str) -> PassMotion:
+        """How the object turned, from all frames. Raises ``ClientError`` (409) for too few of them."""
+        return await self.call(calls.get(PassMotion, f"/v1/sessions/{session_id}/motion"))
 
     async def overlay(self, session_id: str, index: int) -> bytes:
         """PNG of a frame with the best silhouette in blue."""

@@ -15,7 +15,7 @@ from service.attitude.pointing import CameraOrientation, Mount, Pointing, camera
 from service.errors import InputError
 from service.imaging.facts import FrameFacts
 from service.inference.params import CameraParams
-from service.inference.pose import from_matrices, rotation_matrices
+from service.inference.pose import conjugate, from_matrices, multiply, rotation_matrices
 from service.inference.state import Array, PoseEstimate, Spread
 
 FRAME = "GCRF"
@@ -128,6 +128,15 @@ def camera_quaternion(estimate: Mapping[str, Any]) -> Array | None:
     """(4,) camera -> GCRF out of an estimate, or None."""
     camera = estimate.get("camera")
     return None if camera is None else np.array([camera["orientation"][axis] for axis in "wxyz"])
+
+
+def absolute_camera(estimate: Mapping[str, Any]) -> Array | None:
+    """(4,) camera -> GCRF out of an estimate, turned towards where in the image the object was; None: not known."""
+    attitude = estimate["best"]["attitude"]
+    if attitude is None:
+        return None
+    body, seen = (np.array([one["orientation"][axis] for axis in "wxyz"]) for one in (attitude, estimate["best"]))
+    return multiply(body, conjugate(seen))
 
 
 def named(quaternion: Array) -> dict[str, float]:

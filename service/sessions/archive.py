@@ -22,6 +22,7 @@ from service.sessions.frame_fits import image_with_pose, is_fits, original_with_
 from service.sessions.library import articulation_of
 from service.sessions.lighting import sun_in_image
 from service.sessions.particle_set import ParticleSet
+from service.sessions.pass_motion import PassMotions
 from service.sessions.smoothing import SmoothedPages
 from service.store import frames, models, sessions
 from service.store.base import ModelRecord, Page, SessionRecord
@@ -41,6 +42,7 @@ class Archive:
         self.database = database
         self._engine = engine
         self._smoothed = SmoothedPages(database, engine)
+        self._motions = PassMotions(database, engine)
 
     async def session(self, session_id: SessionKey) -> dict[str, Any]:
         """One session."""
@@ -65,6 +67,10 @@ class Archive:
     async def smoothed(self, session_id: SessionKey, after: int, limit: int) -> tuple[list[bytes], int | None]:
         """The same, each with all later frames taken into account."""
         return await self._smoothed.page(session_id, after, limit)
+
+    async def motion(self, session_id: SessionKey) -> bytes:
+        """How the object turned, as JSON. Raises ``ConflictError`` for too few frames."""
+        return await self._motions.of(session_id)
 
     async def by_key(self, session_id: SessionKey, key: str) -> bytes | None:
         """The estimate of the frame that was sent with this idempotency key, or None."""
@@ -187,6 +193,6 @@ def session_document(record: SessionRecord) -> dict[str, Any]:
         "links": {
             **({} if record.model_ids else {"model": f"/v1/models/{model_id}"}),
             **{name: f"{here}/{name}" for name in ("background", "frames", "estimates", "particles")},
-            **{name: f"{here}/{name}" for name in ("stream", "events", "checkpoint", "export")},
+            **{name: f"{here}/{name}" for name in ("stream", "events", "checkpoint", "export", "motion")},
         },
     }

@@ -8,16 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import orjson
 
 from service.attitude.pointing import CameraOrientation
 from service.inference.params import SessionConfig
-from service.inference.pose import conjugate, multiply, rotation_matrices
+from service.inference.pose import rotation_matrices
 from service.inference.smoothed import SmoothedEstimate
 from service.inference.state import Array
 from service.sessions import config as session_config
-from service.sessions.absolute import View, camera_quaternion, rate_since
+from service.sessions.absolute import View, absolute_camera, camera_quaternion, rate_since
 from service.sessions.contenders import model_of
 from service.sessions.document import JointNames, smoothed_document
 from service.sessions.library import articulation_of, twins_of
@@ -131,14 +130,9 @@ def _documents(earlier: bytes | None, documents: Sequence[bytes], first: int, st
 
 def _view(filtered: Mapping[str, Any], camera_before: Array | None, dt_s: float) -> View | None:
     """The camera as the stored estimate used it: turned towards where in the image the object was."""
-    camera, attitude = camera_quaternion(filtered), filtered["best"]["attitude"]
-    if camera is None or attitude is None:
+    camera, towards = camera_quaternion(filtered), absolute_camera(filtered)
+    if camera is None or towards is None:
         return None
-    towards = multiply(_quaternion(attitude), conjugate(_quaternion(filtered["best"])))
     rate = None if camera_before is None else rate_since(camera_before, camera, dt_s)
     orientation = CameraOrientation(rotation_matrices(towards), filtered["camera"]["mirrored"], None, None)
     return View(orientation, (0.0, 0.0), rate)
-
-
-def _quaternion(document: Mapping[str, Any]) -> Array:
-    return np.array([document["orientation"][axis] for axis in "wxyz"])

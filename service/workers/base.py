@@ -19,6 +19,7 @@ from service.inference.belief import Belief
 from service.inference.light import Light
 from service.inference.params import SessionConfig
 from service.inference.smoothed import SmoothedEstimate
+from service.inference.spin.basins import PassMotion
 from service.inference.state import Estimate, FilterState
 from service.inference.symmetry import Symmetry
 
@@ -200,6 +201,27 @@ class SmoothReport:
     estimates: tuple[SmoothedEstimate | None, ...]
 
 
+@dataclass(frozen=True)
+class MotionJob:
+    """The motion of a pass: of every frame its packed belief (None: nothing known) and whether it counts.
+
+    ``references``: of ``inference.spin.attitude_modes``; with ``cameras`` only.
+    """
+
+    config: SessionConfig
+    model: str  # key of the model file in ``blobs``
+    file_type: str
+    articulation: Articulation
+    twins: tuple[Symmetry, ...]  # joints by position in ``articulation``
+    width: int  # of the whole frame
+    height: int
+    beliefs: tuple[bytes | None, ...]
+    counts: tuple[bool, ...]
+    cameras: tuple[NDArray[np.float64], ...] | None = None  # (4,) camera -> GCRF of every frame; None: not known
+    references: Mapping[str, NDArray[np.float64]] | None = None  # (frames, 3, 3) reference -> GCRF, by attitude mode
+    blobs: Mapping[str, bytes] = field(default_factory=dict)
+
+
 class Worker(Protocol):
     """Runs jobs one at a time. Raises ``service.errors.SkyposeError`` for anything the caller should hear."""
 
@@ -223,6 +245,9 @@ class Worker(Protocol):
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
         """Backwards over a pass that was tracked."""
+
+    def motion(self, job: MotionJob) -> PassMotion:
+        """How the object turned over a pass. Raises ``ConflictError`` for too few frames."""
 
     def describe(self) -> Mapping[str, Any]:
         """Devices, scorer, versions, for ``/v1/system``."""

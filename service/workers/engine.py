@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 from service.errors import MissingBlobError, TooLargeError, WorkerFailedError
 from service.imaging.split import SplitFrame
+from service.inference.spin.basins import PassMotion
 from service.workers.base import (
     BackgroundJob,
     BackgroundReport,
@@ -16,6 +17,7 @@ from service.workers.base import (
     MeshJob,
     ModelJob,
     ModelReport,
+    MotionJob,
     OverlayJob,
     PackedFrameJob,
     PackedFrameReport,
@@ -129,6 +131,15 @@ class Engine:
         """A pass smoothed."""
         report: SmoothReport = await self._beside(tenant, "smooth", job)
         return report
+
+    async def motion(self, tenant: str, job: MotionJob, blobs: BlobSource) -> PassMotion:
+        """How the object turned over a pass."""
+
+        async def run(brought: Mapping[str, bytes]) -> PassMotion:
+            found: PassMotion = await self._beside(tenant, "motion", replace(job, blobs=brought))
+            return found
+
+        return await _with_blobs(run, blobs)
 
     async def describe(self) -> Mapping[str, Any]:
         """Devices, scorer and versions, as a worker sees them."""

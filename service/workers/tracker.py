@@ -29,6 +29,7 @@ from service.inference.articulation import Articulation, hold
 from service.inference.belief import belief_of
 from service.inference.domain import Domain
 from service.inference.params import SessionConfig
+from service.inference.spin.basins import PassMotion
 from service.inference.state import Frame, Measurement, PoseEstimate
 from service.inference.step import step
 from service.inference.symmetry import Symmetry
@@ -42,6 +43,7 @@ from service.workers.base import (
     MeshJob,
     ModelJob,
     ModelReport,
+    MotionJob,
     OverlayJob,
     RestoreJob,
     RestoreReport,
@@ -54,6 +56,7 @@ from service.workers.following import Following
 from service.workers.full_frame import camera_window, in_full_frame, scale_in_window
 from service.workers.image_checks import require_same, require_size
 from service.workers.machine import describe_machine
+from service.workers.motion import motion_of
 from service.workers.pictures import LitPictures, draw_silhouette
 from service.workers.preparing import report_model
 from service.workers.resident import ResidentSteps
@@ -215,6 +218,10 @@ class Tracker:
     def smooth(self, job: SmoothJob) -> SmoothReport:
         """Backwards over a pass that was tracked."""
         return smooth_pass(job)
+
+    def motion(self, job: MotionJob) -> PassMotion:
+        """How the object turned over a pass."""
+        return motion_of(job, self._mesh(job.model, job.file_type, job.blobs))
 
     def describe(self) -> Mapping[str, Any]:
         """This machine and what is installed."""

@@ -84,6 +84,40 @@ def test_what_is_known_of_the_sky_is_told(answers):
     assert answers("sky_readout", "return m.skyRows(given)", nothing) == []
 
 
+def test_a_motion_is_told_in_rows(answers):
+    found = {
+        "model": "constant_rate",
+        "probabilities": {"constant_rate": 0.97, "tumbling": 0.03},
+        "relative_to": "camera",
+        "rate_deg_s": 3.7417,
+        "rate_sigma_deg_s": 0.0123,
+        "period_s": None,
+        "axis_body": {"x": 0.6, "y": -0.8, "z": 0},
+        "axis_body_sigma_deg": 0.254,
+        "axis_gcrf": None,
+        "inertia": None,
+        "frames": {"stored": 40, "used": 38, "explained": 1},
+        "warnings": ["against the camera"],
+        "attitude_mode": {
+            "mode": "nadir_pointing",
+            "probabilities": {"nadir_pointing": 0.996},
+            "offset_deg": 3.12,
+            "sigma_deg": 0.4,
+            "body_axis": "+z",
+        },
+    }
+    rows = answers("spin", "return m.spinRows(given)", found)
+    assert rows == [
+        ["It", "turns at a constant rate, 97 %"],
+        ["Rate", "3.7417 ± 0.0123 °/s against the camera"],
+        ["Period", "no turning seen"],
+        ["Axis in the body", "0.600, -0.800, 0.000 ± 0.25°"],
+        ["Attitude mode", "nadir pointing, 99.6 %, +z, 3.12 ± 0.40° off"],
+        ["Frames", "38 of 40, 100 % of these explained"],
+        ["Note", "against the camera"],
+    ]
+
+
 def test_grey_levels_go_through_contrast_and_colours(answers):
     def colour(level, gain, name):
         body = "const [level, ...how] = given; return [...m.table(...how)].slice(3 * level, 3 * level + 3);"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gpu.mesh import load_mesh
+from service.bench.tracked_motion import images, told_at
 from service.inference.params import JointParams, SessionConfig
 from service.inference.pose import angle_between, conjugate, log_so3, multiply
 from service.simulate.folder import encode_png
@@ -11,7 +12,7 @@ from service.simulate.motion import Motion
 from service.simulate.satellite import demo_satellite
 from service.simulate.scenario import Scenario
 from service.simulate.sequence import SimulatedPass
-from service.workers.base import BackgroundJob, FrameJob, ModelJob, SmoothJob
+from service.workers.base import BackgroundJob, FrameJob, ModelJob, MotionJob, SmoothJob
 from service.workers.codec import encode
 from service.workers.tracker import Tracker, content_key
 
@@ -46,7 +47,22 @@ def errors(seed: int, tracker: Tracker, report) -> dict[str, float]:
         done = tracker.track(job)
         state, filtered, beliefs = done.state, [*filtered, done.estimate], [*beliefs, encode(done.belief)]
     job = SmoothJob(CONFIG, report.articulation, report.twins, *SIZE, tuple(beliefs), len(beliefs))
-    return compare(simulated.track, filtered, tracker.smooth(job).estimates)
+    found = compare(simulated.track, filtered, tracker.smooth(job).estimates)
+    asked = MotionJob(
+        *(CONFIG, model, "glb", report.articulation, report.twins, *SIZE),
+        *(tuple(beliefs), (True,) * len(beliefs)),
+        blobs=blobs,
+    )
+    return found | of_the_pass(simulated.track, tracker.motion(asked))
+
+
+def of_the_pass(track, motion) -> dict[str, float]:
+    """The rate of all frames together, against the truth as the body's symmetries show it."""
+    truth = told_at(track.poses.quaternion, track.time_s, motion.reference_s)
+    lead = motion.best_of("constant_rate")
+    off = min((lead.motion.rate[0] - one.rate[0] for one in images(truth, motion.rotations)), key=np.linalg.norm)
+    stated = float(off @ np.linalg.solve(lead.covariance[3:6, 3:6], off))
+    return {"motion deg/s": np.rad2deg(np.linalg.norm(off)), "motion sigmas": np.sqrt(stated / 3)}
 
 
 def compare(track, filtered, smoothed) -> dict[str, float]:
@@ -77,3 +93,6 @@ def test_smoothing_gains_on_the_filter(tracker):
     # A filtered spread is nearly that of one frame already: frames of one body err alike, and later ones say little.
     assert found["smoothed spread deg"] < 1.1 * found["filtered spread deg"]
     assert found["smoothed within 2 sigma"] > 0.8
+    # All frames together tell the rate far better than any of them.
+    assert found["motion deg/s"] < 0.5 * found["smoothed deg/s"]
+    assert found["motion sigmas"] < 2.0

@@ -12,6 +12,7 @@ import { Readout } from "./readout.js";
 import { SessionList } from "./sessions.js";
 import { Shortcuts } from "./shortcuts.js";
 import { SkyView } from "./sky.js";
+import { SpinView } from "./spin.js";
 import { Timeline } from "./timeline.js";
 import { Watch } from "./watch.js";
 import { addHeading } from "./heading.js";
@@ -24,6 +25,7 @@ const tools = new FrameTools($("frame"), frame);
 const model = new ModelView($("model"));
 const cloud = new CloudView($("cloud"), api);
 const readout = new Readout($("readout"), (rank) => watch.inspect(rank));
+const spin = new SpinView(document.querySelector("#readout .spin"), api);
 const plots = new Plots($("plots"), {
   goTo: (time) => watch.goToTime(time),
   says: (text) => { $("pointed").textContent = text; },
@@ -59,6 +61,7 @@ function open(session) {
   list.chosen = session.session_id;
   list.draw();
   watch.open(session);
+  spin.open(session);
   const beside = named === session.session_id ? other : undefined;
   address(session.session_id, beside);
   comparison.open(session, beside);

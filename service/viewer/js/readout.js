@@ -74,7 +74,7 @@ export class Readout {
   }
 }
 
-function pair([name, value]) {
+export function pair([name, value]) {
   const item = element("div");
   item.append(element("dt", name), element("dd", value));
   item.title = value;

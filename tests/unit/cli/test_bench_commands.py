@@ -118,3 +118,17 @@ def test_every_variant_and_column_is_documented(root):
     text = (root / "docs" / "benchmarks.md").read_text()
     for name in [*(variant.name for variant in VARIANTS[1:]), *CASE_COLUMNS[2:]]:
         assert f"`{name}`" in text
+
+
+def test_motions_become_rows_and_a_line_for_each_law(tmp_path):
+    few = ["bench", "motion", "--frames", "30", "--span", "10", "--slowest", "2", "--json", str(tmp_path / "rows.json")]
+    result = RUNNER.invoke(app, [*few, "--passes", "1"], env=WIDE)
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "rows.json").read_text())
+    assert [row["law"] for row in document["rows"]] == ["constant_rate", "tumbling"]
+    assert {"law_right", "rate_met", "cover90", "ratios_within10"} <= set(document["overall"][0])
+    result = RUNNER.invoke(app, [*few, "--modes", "1"], env=WIDE)
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "rows.json").read_text())
+    assert document["rows"][0]["truth"] == "inertially_fixed"
+    assert {"right", "sure_right"} <= set(document["overall"][-1])

@@ -73,6 +73,8 @@ def test_track_writes_estimates_and_a_sheet(folder, tmp_path):
     assert (told["frames"], sum(told["statuses"].values()), told["out"]) == (3, 3, str(tmp_path))
     with (tmp_path / "estimates.csv").open() as file:
         rows = list(csv.DictReader(file))
+    if "no motion.json" not in result.output:
+        assert json.loads((tmp_path / "motion.json").read_text())["frames"]["stored"] == 3
     lines = [json.loads(line) for line in (tmp_path / "estimates.jsonl").read_text().splitlines()]
     assert [row["name"] for row in rows] == ["000.png", "001.png", "002.png"]
     for k, (row, line) in enumerate(zip(rows, lines, strict=True)):

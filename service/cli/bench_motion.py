@@ -1,0 +1,55 @@
+"""``skypose bench motion``: rate, axis and law of simulated passes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def motion(
+    passes: Annotated[int, typer.Option(min=1, help="Of each law: constant rate, tumbling.")] = 100,
+    frames: Annotated[int, typer.Option(min=3, help="Of each pass.")] = 300,
+    span: Annotated[float, typer.Option(min=0.1, help="Of each pass, s.")] = 60.0,
+    nutation: Annotated[float, typer.Option(min=0, max=60, help="Least of tumbling bodies, degrees.")] = 0.0,
+    slowest: Annotated[float, typer.Option(min=1e-3, help="Rate, °/s.")] = 0.05,
+    tracked: Annotated[int, typer.Option(min=0, help="So many passes drawn and tracked, in the place of streams.")] = 0,
+    modes: Annotated[int, typer.Option(min=0, help="So many passes in attitude modes, in the place of both.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the passes.")] = 0,
+    json: Annotated[Path | None, typer.Option("--json", help="Write the rows as JSON.")] = None,
+) -> None:
+    """How a body turned, from streams of what frames say (docs/motion.md): errors, and whether spreads hold."""
+    from service.bench.machine import describe_machine
+    from service.bench.motion_bench import MotionRow, motion_document, motion_table, run_streams
+    from service.bench.motion_streams import StreamPlan
+    from service.cli.bench_output import publish
+
+    if modes:
+        _modes(modes, frames, seed, json)
+        return
+
+    def tell(row: MotionRow) -> None:
+        typer.echo(f"{row.law} {row.rate_deg_s:.3f} °/s: {row.vector_error_deg_s:.4f} °/s off", err=True)
+
+    plan = StreamPlan(frames, span, (slowest, max(10.0, slowest)), least_nutation_deg=nutation)
+    if tracked:
+        from service.bench.tracked_motion import run_tracked
+
+        rows = run_tracked(plan, tracked, seed, tell)
+    else:
+        rows = run_streams(plan, passes, seed, tell)
+    document = motion_document(dict(describe_machine()), rows)
+    publish(document, (motion_table(document),), None, json, None)
+
+
+def _modes(passes: int, frames: int, seed: int, json: Path | None) -> None:
+    from service.bench.machine import describe_machine
+    from service.bench.mode_streams import ModeRow, mode_document, mode_table, run_modes
+    from service.cli.bench_output import publish
+
+    def tell(row: ModeRow) -> None:
+        typer.echo(f"{row.truth}: {row.told} {row.probability:.3f}", err=True)
+
+    document = mode_document(describe_machine(), run_modes(passes, frames, seed, tell))
+    publish(document, (mode_table(document),), None, json, None)

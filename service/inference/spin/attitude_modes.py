@@ -1,0 +1,100 @@
+"""Which of the modes that operators use an attitude follows over a pass, by evidence (docs/motion.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.inference.pose import conjugate, log_so3, multiply, rotation_matrices
+from service.inference.spin.alignment import ALIGNMENTS
+from service.inference.spin.basins import MODES, AttitudeModes, Basin, PassMotion
+from service.inference.spin.climb import MotionPrior, climb
+from service.inference.spin.fit import TUMBLING, weighed
+from service.inference.spin.frames import LOG_UNIFORM, PassFrames, seen_from
+from service.inference.spin.rigid_body import Motions
+from service.inference.spin.starts import anchors, distinct
+from service.inference.state import Array
+
+OFFSET_SIGMA = float(np.deg2rad(5.0))  # prior: rad, each axis: of a body axis that is held, about where it should be
+ALIGNED = 0.5  # prior: that a body which is held in a moving frame has its mesh's axes along that frame's
+_HELD_RATE = 1e-7  # numerical: rad/s, as good as none
+_ROUNDS, _TOPS = 20, 3  # numerical
+
+
+@dataclass(frozen=True)
+class HeldPrior(MotionPrior):
+    """Of a body that stands still in its reference frame; ``orientation``: log density per rad^3 of (B, 4)."""
+
+    orientation: Callable[[Array], Array]
+
+    def log_density(self, motions: Motions) -> Array:
+        """(B,) with that of the rate, which the evidence integrates out again."""
+        rate = -0.5 * np.sum((motions.rate / self.rate_sigma) ** 2, axis=1)
+        rate -= 3 * (np.log(self.rate_sigma) + 0.5 * np.log(2 * np.pi))
+        return np.asarray(self.orientation(motions.quaternion) + rate)
+
+
+def attitude_modes(frames: PassFrames, references: Mapping[str, Array], found: PassMotion) -> AttitudeModes:
+    """``frames``: of rotations body -> GCRF. ``references``: (n, 4) rotations reference -> GCRF of every frame, of
+
+    ``nadir_pointing`` (x along the orbit, y against its normal, z to the Earth's centre), ``yaw_steering`` (z to the
+    Earth's centre, y across the Sun) and ``sun_pointing`` (z to the Sun). ``found``: the motions without a frame.
+    """
+    laws = {
+        "inertially_fixed": (None, _any),
+        "nadir_pointing": (references["nadir_pointing"], _aligned_or_any),
+        "yaw_steering": (references["yaw_steering"], _aligned_or_any),
+        "sun_pointing": (references["sun_pointing"], _axis_along_z),
+    }
+    tops = {name: _tops(frames, reference, law, found) for name, (reference, law) in laws.items()}
+    lead = max((one for basins in tops.values() for one in basins), key=lambda one: one.log_evidence, default=None)
+    free = [(one, 1 - TUMBLING if one.model == "constant_rate" else TUMBLING) for one in found.basins]
+    first = max((one for one, _ in free), key=lambda one: one.log_evidence)
+    lead = first if lead is None or first.log_evidence > lead.log_evidence else lead
+    counted = lead.independent / (lead.explained * len(frames))
+    logs = {name: _total([one.log_evidence + counted * one.log_weights for one in tops[name]]) for name in laws}
+    for name, model in (("spin_stabilised", "constant_rate"), ("tumbling", "tumbling")):
+        mine = [(one, share) for one, share in free if one.model == model]
+        logs[name] = _total([one.log_evidence - np.log(share) + counted * one.log_weights for one, share in mine])
+    total = _total(list(logs.values()))
+    held = {name: max(basins, key=lambda one: one.log_evidence) for name, basins in tops.items() if basins}
+    return AttitudeModes({name: float(np.exp(logs[name] - total)) for name in MODES}, held)
+
+
+def _tops(frames: PassFrames, reference: Array | None, law: Callable[[Array], Array], found: PassMotion) -> list[Basin]:
+    """Orientations against a reference that explain the frames."""
+    seen = frames if reference is None else seen_from(frames, conjugate(reference))
+    prior = HeldPrior(_HELD_RATE, np.zeros(5), 1.0, law)
+    chosen = [seen.quaternion[k][np.isfinite(seen.log_weight[k])] for k in anchors(seen)]
+    start = np.concatenate(chosen)
+    motions = Motions(start, np.zeros((len(start), 3)), np.zeros((len(start), 0)))
+    motions, score = climb(seen, motions, prior, found.reference_s, _ROUNDS)
+    motions = motions[distinct(motions, score, frames.time_s - found.reference_s, _TOPS)]
+    basins = [weighed(seen, motions[k : k + 1], prior, found.reference_s) for k in range(len(motions))]
+    return [replace(one, bodies="free") for one in basins if one is not None]
+
+
+def _any(quaternion: Array) -> Array:
+    return np.full(len(quaternion), LOG_UNIFORM)
+
+
+def _aligned_or_any(quaternion: Array) -> Array:
+    """A normal law about each alignment, or any."""
+    turns = log_so3(multiply(quaternion[:, None], conjugate(ALIGNMENTS)))
+    squares = np.sum(turns**2, axis=2) / OFFSET_SIGMA**2
+    near = np.logaddexp.reduce(-0.5 * squares, axis=1) - np.log(24) - 1.5 * np.log(2 * np.pi * OFFSET_SIGMA**2)
+    return np.asarray(np.logaddexp(np.log(ALIGNED) + near, np.log(1 - ALIGNED) + LOG_UNIFORM))
+
+
+def _axis_along_z(quaternion: Array) -> Array:
+    """A normal law of the angle between the reference's z and one of six body axes; the turn about it is any."""
+    cosine = rotation_matrices(quaternion)[:, 2]
+    angles = np.arccos(np.clip(np.concatenate([cosine, -cosine], axis=1), -1.0, 1.0))
+    near = np.logaddexp.reduce(-0.5 * (angles / OFFSET_SIGMA) ** 2, axis=1)
+    return np.asarray(near - np.log(6) - np.log(2 * np.pi * OFFSET_SIGMA**2) - np.log(2 * np.pi))
+
+
+def _total(logs: list[float]) -> float:
+    return float(np.logaddexp.reduce(logs)) if logs else -np.inf

@@ -1,0 +1,118 @@
+"""How the object of a session turned: the store's beliefs and cameras through the worker's estimator."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+import orjson
+
+from service.attitude.held import held_frames
+from service.attitude.orbit import Orbit
+from service.errors import ConflictError
+from service.inference.params import SessionConfig
+from service.inference.state import Array
+from service.sessions import config as session_config
+from service.sessions.absolute import absolute_camera, mount_of
+from service.sessions.contenders import model_of
+from service.sessions.library import articulation_of, twins_of
+from service.sessions.motion_document import motion_document
+from service.store import frames, models, sessions
+from service.store.base import ModelRecord, SessionRecord, StoredBelief
+from service.store.database import Database
+from service.store.scope import SessionKey, model_key, public_id
+from service.workers.base import MotionJob
+from service.workers.engine import Engine
+
+KEPT = 32  # answers of some kilobytes
+_UNSEEN = ("no_target", "no_fit", "lost")  # frames that say nothing of the object's rotation
+
+
+@dataclass(frozen=True)
+class _Facts:
+    """What is needed of a stored estimate beside its belief."""
+
+    time: str
+    counts: bool
+    camera: Array | None  # (4,) camera -> GCRF, towards where in the image the object was
+    model: str | None
+
+
+class PassMotions:
+    """Answers, each kept until the session's next frame."""
+
+    def __init__(self, database: Database, engine: Engine) -> None:
+        self._database = database
+        self._engine = engine
+        self._kept: OrderedDict[tuple[str, int, int], bytes] = OrderedDict()
+
+    async def of(self, session_id: SessionKey) -> bytes:
+        """The motion as JSON. Raises ``NotFoundError``, and ``ConflictError`` for too few frames."""
+        record = await self._database.read(sessions.get, session_id)
+        key = (record.id, record.number, record.next_index)
+        if key not in self._kept:
+            self._kept[key] = await self._found(record)
+        self._kept.move_to_end(key)
+        answer = self._kept[key]
+        if len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
+        return answer
+
+    async def _found(self, record: SessionRecord) -> bytes:
+        stored = await self._database.read(frames.belief_page, record.id, 0)
+        documents = await self._database.read(frames.estimate_page, record.id, -1, record.next_index)
+        facts = await asyncio.to_thread(lambda: [_facts(document) for _, document in documents])
+        if not facts:
+            raise ConflictError("no frame was tracked yet", frames=0)
+        named = facts[-1].model  # where models are compared, the one that leads now, in the frames in which it led
+        key = record.model_id if named is None else model_key(record.tenant, named)
+        model = await self._database.read(models.get, key)
+        job = await asyncio.to_thread(_job, record, model, stored, facts)
+        found = await self._engine.motion(record.tenant, job, self._blob)
+        epoch = datetime.fromisoformat(facts[0].time) + timedelta(seconds=found.reference_s - stored[0].time_s)
+        answer = motion_document(
+            public_id(record.id), found, record.next_index, epoch, absolute=job.cameras is not None
+        )
+        return orjson.dumps(answer)
+
+    async def _blob(self, key: str) -> bytes:
+        return await self._database.read(models.get_blob, key)
+
+
+def _facts(document: bytes) -> _Facts:
+    estimate = orjson.loads(document)
+    return _Facts(estimate["time"], estimate["status"] not in _UNSEEN, absolute_camera(estimate), model_of(estimate))
+
+
+def _job(
+    record: SessionRecord, model: ModelRecord, stored: Sequence[StoredBelief], facts: Sequence[_Facts]
+) -> MotionJob:
+    info, config = record.background_info or {}, session_config.stored(record.config)
+    counts = tuple(one.counts and one.model == facts[-1].model for one in facts)
+    known = all(one.camera is not None for one, used in zip(facts, counts, strict=True) if used)
+    nowhere = np.array([1.0, 0.0, 0.0, 0.0])
+    return MotionJob(
+        config=config,
+        model=model.blob_key,
+        file_type=model.file_type,
+        articulation=articulation_of(model),
+        twins=twins_of(model),
+        width=int(info["width"]),
+        height=int(info["height"]),
+        beliefs=tuple(row.belief for row in stored),
+        references=_references(config, facts) if known else None,
+        counts=counts,
+        cameras=tuple(nowhere if one.camera is None else one.camera for one in facts) if known else None,
+    )
+
+
+def _references(config: SessionConfig, facts: Sequence[_Facts]) -> dict[str, Array] | None:
+    """(frames, 3, 3) of the frames that the object may be held in; None where its orbit was not told."""
+    site = mount_of(config.camera).site
+    if config.prior.orbit is None or site is None:
+        return None
+    return held_frames(Orbit(config.prior.orbit), site, [datetime.fromisoformat(one.time) for one in facts])

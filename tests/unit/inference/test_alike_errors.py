@@ -1,0 +1,50 @@
+"""Frames that err alike: the sums of ``spin.noise`` against the dense normal law that they stand for."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from service.inference.spin import noise
+from service.inference.spin.noise import Linear
+
+
+def linear(n: int, p: int) -> Linear:
+    rng = np.random.default_rng(0)
+    times = np.sort(rng.uniform(0, 20, n))
+    given = rng.normal(size=(n, 3)), rng.normal(size=(n, 3, p)), rng.chisquare(4, n) / 4
+    return Linear(times, *given, np.array([1e-2, 1.0, 1.0, 0.5]), rng.normal(size=p))
+
+
+@pytest.mark.parametrize(("a", "tau"), [(0.0, 1.0), (0.5, 3.0), (0.8, 30.0)])
+def test_evidence_and_posterior_are_the_dense_ones(a, tau):
+    one, scale = linear(25, 4), 1.3
+    times, jacobian = one.time_s, one.jacobian.reshape(-1, 4)
+    law = a * np.exp(-np.abs(times[:, None] - times) / tau) + (1 - a) * np.diag(1 / one.weight)
+    errors = scale**2 * np.kron(law, np.eye(3))
+    found = noise._at_scales(one, noise._sums(one, a, tau), np.array([scale]))
+    step, covariance, log = (part[0] for part in found)
+    inverse = np.linalg.inv(jacobian.T @ np.linalg.solve(errors, jacobian) + np.diag(one.precision))
+    slope = jacobian.T @ np.linalg.solve(errors, one.residual.ravel()) + one.precision * one.away
+    np.testing.assert_allclose(covariance, inverse, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(step, -inverse @ slope, rtol=1e-8, atol=1e-10)
+    # Of the residuals, the parameters integrated out under their prior.
+    seen = one.residual.ravel() - jacobian @ one.away
+    whole = errors + jacobian @ np.diag(1 / one.precision) @ jacobian.T
+    expected = multivariate_normal(np.zeros(len(seen)), whole).logpdf(seen)
+    sigma = noise._SCALE_LOG_SIGMA
+    of_scale = -0.5 * (np.log(scale) / sigma) ** 2 - np.log(sigma) - 0.5 * np.log(2 * np.pi)
+    density = 0.5 * np.sum(np.log(one.precision)) - 2 * np.log(2 * np.pi)  # of the prior at its mean
+    density -= 0.5 * np.sum(one.precision * one.away**2)
+    assert log + density - of_scale == pytest.approx(expected, abs=1e-6)
+
+
+def test_what_is_each_frames_own_is_the_dense_one():
+    one, a, tau, scale = linear(25, 4), 0.5, 3.0, 1.3
+    times = one.time_s
+    stays = a * np.exp(-np.abs(times[:, None] - times) / tau)
+    own = (1 - a) * np.diag(1 / one.weight)
+    gain = own @ np.linalg.inv(stays + own)
+    left = gain @ one.residual
+    spread = np.diag(own - gain @ own) * scale**2
+    expected = (np.sum(left**2, axis=1) + 3 * spread) / ((1 - a) * scale**2)
+    np.testing.assert_allclose(noise._own_squares(one, a, tau, scale, np.zeros(4)), expected, rtol=1e-8)
