@@ -111,6 +111,11 @@ class DeviceStep:
             self._launch_each(resampler, n, cumulative, np.int32(n), *_key(seed, frame), ancestors)
         return ancestors
 
+    def drawn(self, ancestors: cl.Buffer, n: int) -> NDArray[np.int32]:
+        """(n,) the ancestors that ``resample`` drew, on the host."""
+        with device_errors(self.name):
+            return self._fetch(ancestors, np.empty(n, np.int32))
+
     def move(
         self, seed: int, frame: int, particles: DeviceParticles, ancestors: cl.Buffer, deviation: Floats
     ) -> DeviceParticles:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
 from service.inference.params import PriorParams
+from service.inference.pose import concatenate
 from service.inference.state import Array, Poses
+
+ShowsHalf = Callable[[Poses], NDArray[np.bool_]]  # (N,) which poses show at least half of the body in the image
+_ROUNDS = 30  # of drawing, of which each accepts a quarter or more unless the body is far larger than the image
 
 
 @dataclass(frozen=True)
@@ -17,8 +22,8 @@ class Domain:
     """Bounds of the uniform prior (the paper's section 2).
 
     The body's diameter spans at least ``min_extent`` of the image's shorter side and at most ``max_extent`` of the
-    longer one, and its centre lies in the image: nine draws in ten then show at least half of it, as the paper asks of
-    all. Where the range is known, ``scale_within`` says more than the extents.
+    longer one. At least half of the body is in the image, as the paper asks, where ``shows_half`` can tell; where it is
+    None, the body's centre is. Where the range is known, ``scale_within`` says more than the extents.
     """
 
     width: int
@@ -27,6 +32,7 @@ class Domain:
     articulation: Articulation
     prior: PriorParams
     scale_within: tuple[float, float] | None = None  # px per model unit: known bounds, in the place of the extents
+    shows_half: ShowsHalf | None = field(default=None, repr=False, compare=False)
 
     @property
     def n_tangent(self) -> int:
@@ -43,6 +49,15 @@ class Domain:
             float(np.log(self.prior.min_extent * side / (2 * self.radius))),
             float(np.log(self.prior.max_extent * max(self.width, self.height) / (2 * self.radius))),
         )
+
+    @property
+    def position_bounds(self) -> tuple[Array, Array]:
+        """(2,) least and greatest x and y of the body's centre, px.
+
+        Half of a lopsided body can be seen while its centre is outside, by its largest radius at most.
+        """
+        reach = 0.0 if self.shows_half is None else self.radius * float(np.exp(self.log_scale_bounds[1]))
+        return np.full(2, -reach), np.array([self.width, self.height]) + reach
 
     @property
     def joint_bounds(self) -> tuple[Array, Array]:
@@ -64,13 +79,22 @@ class Domain:
         return np.array([j.kind == "revolute" and j.maximum - j.minimum >= 360 for j in self.articulation.joints], bool)
 
     def contains(self, poses: Poses) -> NDArray[np.bool_]:
-        """(N,) which poses lie within the prior's bounds."""
+        """(N,) which poses lie within the bounds of each coordinate."""
         low, high = self.log_scale_bounds
         least, greatest = self.joint_bounds
+        first, last = self.position_bounds
         inside = (poses.log_scale >= low) & (poses.log_scale <= high)
-        inside &= np.all((poses.position >= 0) & (poses.position <= (self.width, self.height)), axis=1)
+        inside &= np.all((poses.position >= first) & (poses.position <= last), axis=1)
         within = (poses.joints >= least) & (poses.joints <= greatest)
         return np.asarray(inside & np.all(within | self.wrapping, axis=1))
+
+    def stays(self, moved: Poses, before: Poses) -> NDArray[np.bool_]:
+        """(N,) which moves do not leave the prior: a body of which half was not seen before may be moved anywhere."""
+        made = self.contains(moved)
+        if self.shows_half is not None:
+            unseen = np.flatnonzero(made)[~self.shows_half(moved[made])]
+            made[unseen] = ~self.shows_half(before[unseen])
+        return made
 
     def wrap(self, poses: Poses) -> Poses:
         """Bring joints that turn all the way round back into their range."""
@@ -83,13 +107,30 @@ class Domain:
 
 
 def sample_prior(rng: np.random.Generator, domain: Domain, count: int) -> Poses:
-    """The uniform prior: rotation uniform on SO(3), scale, position and joints uniform within their bounds."""
+    """The uniform prior over all poses within the bounds; rotation uniform on SO(3).
+
+    A body too large to be shown by half anywhere is drawn within the bounds of its coordinates alone.
+    """
+    if domain.shows_half is None:
+        return _sample_bounds(rng, domain, count)
+    found: list[Poses] = []
+    for _ in range(_ROUNDS):
+        drawn = _sample_bounds(rng, domain, count)
+        found.append(drawn[domain.shows_half(drawn)])
+        if sum(map(len, found)) >= count:
+            break
+    return concatenate(*found, drawn)[slice(count)]
+
+
+def _sample_bounds(rng: np.random.Generator, domain: Domain, count: int) -> Poses:
+    """Each coordinate uniform within its bounds, the scale itself and not its log."""
     low, high = domain.log_scale_bounds
+    first, last = domain.position_bounds
     least, greatest = domain.joint_bounds
     quaternion = rng.standard_normal((count, 4))
     return Poses(
         quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
-        rng.random((count, 2)) * (domain.width, domain.height),
+        first + rng.random((count, 2)) * (last - first),
         np.log(rng.uniform(np.exp(low), np.exp(high), count)),
         least + rng.random((count, domain.articulation.n_joints)) * (greatest - least),
     )

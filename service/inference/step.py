@@ -65,8 +65,7 @@ def bootstrap_update(
 ) -> Outcome:
     """The paper's filter: resample (Eq. 6), move each particle by a random jitter, weigh by the likelihood (Eq. 4).
 
-    Before the first frame the particles are drawn from the uniform prior. A jitter that would leave the prior's
-    bounds is not made.
+    Before the first frame the particles are drawn from the uniform prior. A jitter that would leave it is not made.
     """
     count = config.filter.particles
     if state is None:
@@ -76,7 +75,7 @@ def bootstrap_update(
         before = state.poses[ancestors]
         dt_s = max(frame.time_s - state.time_s, 0.0)
         moved = domain.wrap(propagate(rng, before, diffusion(config.motion, domain) * np.sqrt(dt_s)))
-        poses = pick(domain.contains(moved), moved, before)
+        poses = pick(domain.stays(moved, before), moved, before)
     return weighed(poses, score(poses), domain)
 
 

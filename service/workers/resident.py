@@ -21,6 +21,7 @@ from service.inference.articulation import Articulation
 from service.inference.domain import Domain
 from service.inference.motion import diffusion
 from service.inference.params import SessionConfig
+from service.inference.pose import pick
 from service.inference.state import Array, FilterState, Frame, Outcome, Poses
 from service.inference.step import bootstrap_update, weighed
 from service.workers.cache import Cache
@@ -80,7 +81,7 @@ class ResidentUpdate:
         try:
             device, scorer = self._make()
             scorer.seconds = 0.0
-            poses, log_likelihood = run(device, state, frame, config, domain)
+            poses, log_likelihood = run(device, state, frame, score, config, domain)
         except ScorerError as error:
             warnings.warn(f"{error}; this step is made on the host", RuntimeWarning, stacklevel=2)
             return bootstrap_update(rng, state, frame, score, config, domain)
@@ -89,21 +90,40 @@ class ResidentUpdate:
 
 
 def run(
-    device: DeviceStep, state: FilterState, frame: Frame, config: SessionConfig, domain: Domain
+    device: DeviceStep,
+    state: FilterState,
+    frame: Frame,
+    score: Callable[[Poses], Array],
+    config: SessionConfig,
+    domain: Domain,
 ) -> tuple[Poses, Array]:
-    """Draw, move and score on the device: the particles and the (N,) particle term of Eq. 4."""
+    """Draw, move and score on the device: the particles and the (N,) particle term of Eq. 4.
+
+    The device holds moves against the bounds of each coordinate. What then shows less than half of the body is put back
+    here, and scored by ``score``.
+    """
     old = state.poses
     before = Particles(old.quaternion, old.position, old.log_scale, old.joints, state.log_weights)
     resampler = cast(Resampler, config.filter.resampler)  # one of ``RESAMPLERS``
     deviation = diffusion(config.motion, domain) * np.sqrt(max(frame.time_s - state.time_s, 0.0))
     seed, particles = config.filter.seed, device.upload(before)
-    moved = device.move(
-        seed, frame.index, particles, device.resample(seed, frame.index, particles, resampler), deviation
-    )
+    ancestors = device.resample(seed, frame.index, particles, resampler)
+    moved = device.move(seed, frame.index, particles, ancestors, deviation)
     log_likelihood = device.log_likelihoods(moved, frame.measurement.log_ratio)
     new = device.download(moved)
     quaternion = new.quaternion / np.linalg.norm(new.quaternion, axis=1, keepdims=True)  # float32's unit
-    return domain.wrap(Poses(quaternion, new.position, new.log_scale, new.joints)), log_likelihood
+    poses = domain.wrap(Poses(quaternion, new.position, new.log_scale, new.joints))
+    if domain.shows_half is None:
+        return poses, log_likelihood
+    origins = old[device.drawn(ancestors, len(old))]
+    unseen = np.flatnonzero(~domain.shows_half(poses))
+    unseen = unseen[domain.shows_half(origins[unseen])]
+    if not len(unseen):
+        return poses, log_likelihood
+    log_likelihood[unseen] = score(origins[unseen])
+    left = np.zeros(len(old), np.bool_)
+    left[unseen] = True
+    return pick(left, origins, poses), log_likelihood
 
 
 def on_gpu(scorer: BufferScorer) -> bool:
@@ -155,9 +175,10 @@ def device_body(articulation: Articulation) -> Body:
 def device_bounds(domain: Domain) -> Bounds:
     """The prior's bounds as the device keeps them."""
     low, high = domain.log_scale_bounds
+    first, last = domain.position_bounds
     least, greatest = domain.joint_bounds
     return Bounds(
-        np.array([0.0, 0.0, low, *least]),
-        np.array([domain.width, domain.height, high, *greatest]),
+        np.array([*first, low, *least]),
+        np.array([*last, high, *greatest]),
         np.array([0.0, 0.0, 0.0, *np.where(domain.wrapping, 360.0, 0.0)]),
     )

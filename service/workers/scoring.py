@@ -78,18 +78,22 @@ class TimedScorer:
     """``score`` of ``inference.step`` over a scorer, with the time it took; ``log_ratio`` (H, W)."""
 
     def __init__(self, scorer: Scorer, articulation: Articulation, log_ratio: NDArray[np.float32]) -> None:
-        self._scorer, self._articulation, self._log_ratio = scorer, articulation, log_ratio
+        self._scorer, self.articulation, self._log_ratio = scorer, articulation, log_ratio
         self._batch = max(1, TRANSFORMS_BYTES // (TRANSFORM_BYTES * max(1, len(articulation.parts))))
         self.seconds = 0.0
 
     def __call__(self, poses: Poses) -> Array:
         """(N,) sums of the map under each silhouette."""
-        starts = range(0, len(poses), self._batch)
-        return np.concatenate([self._score(poses[slice(k, k + self._batch)]) for k in starts])
+        placed = (part_transforms(self.articulation, batch) for batch in self.batches(poses))
+        return np.concatenate([self.sums(transforms, self._log_ratio) for transforms in placed])
 
-    def _score(self, poses: Poses) -> Array:
-        transforms = part_transforms(self._articulation, poses)
+    def batches(self, poses: Poses) -> list[Poses]:
+        """The poses in parts whose transforms need no more than ``TRANSFORMS_BYTES``; at least one part."""
+        return [poses[slice(k, k + self._batch)] for k in range(0, max(1, len(poses)), self._batch)]
+
+    def sums(self, transforms: NDArray[np.float32], a_map: NDArray[np.float32]) -> Array:
+        """(N,) sums of any (H, W) map under silhouettes that are transformed already, (N, P, 3, 4)."""
         began = time.perf_counter()
-        scores = self._scorer.score(transforms, self._log_ratio)
+        scores = self._scorer.score(transforms, a_map)
         self.seconds += time.perf_counter() - began
         return scores

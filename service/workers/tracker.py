@@ -65,6 +65,7 @@ from service.workers.scoring import Scorers, TimedScorer
 from service.workers.shared_scorer import Opener
 from service.workers.smoothing import smooth_pass
 from service.workers.splitting import SplitJob
+from service.workers.visible import HalfShown
 
 SKIES, SKY_BYTES = 1000, 512 << 20  # kept: every session has its own
 
@@ -141,12 +142,13 @@ class Tracker:
         mesh = self._mesh(job.model, job.file_type, job.blobs)
         height, width = image.image.shape[:2]
         within = scale_in_window(job.scale_px, job.config.camera)
-        domain = Domain(width, height, mesh.radius, articulation, job.config.prior, within)
         frame = Frame(job.frame_index, job.time_s, Measurement(log_ratio, log_constant))
         chosen = job.config.filter
         rng = np.random.Generator(np.random.Philox(key=np.array([chosen.seed, job.frame_index], np.uint64)))
         with self._scorers.lend(job.model, chosen.backend, mesh, chosen.particles) as scorer:
             timed = TimedScorer(scorer, articulation, log_ratio)
+            shows_half = HalfShown(timed, mesh, (height, width))
+            domain = Domain(width, height, mesh.radius, articulation, job.config.prior, within, shows_half)
             resident = self._steps.of(scorer, job.config, domain)
             state, estimate = step(rng, job.state, frame, timed, job.config, domain, resident)
             scored_by, score_s = scorer.name, timed.seconds

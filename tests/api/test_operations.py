@@ -99,7 +99,7 @@ def test_every_setting_is_documented(root):
     for name, info in Settings.model_fields.items():
         assert f"`SKYPOSE_{name.upper()}`" in text, name
         assert info.description, name
-    assert set(re.findall(r"^\| `(SKYPOSE_\w+)`", text, re.M)) == {
+    assert set(re.findall(r"^- `(SKYPOSE_\w+)`", text, re.M)) == {
         f"SKYPOSE_{name.upper()}" for name in Settings.model_fields
     }
 
@@ -108,4 +108,5 @@ def test_every_problem_is_documented(root):
     text = (root / "docs" / "errors.md").read_text()
     for kind in every_error():
         if kind.slug != "missing-blob":  # never leaves the service
-            assert f"`{problem_type(kind)}` | {kind.status}" in text, kind
+            name = problem_type(kind).removeprefix("urn:skypose:problem:")
+            assert f"| `{name}` | {kind.status} |" in text, kind

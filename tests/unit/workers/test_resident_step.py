@@ -17,7 +17,9 @@ from service.inference.params import FilterParams, PriorParams, SessionConfig
 from service.inference.state import FilterState
 from service.workers.codec import decode, encode
 from service.workers.resident import ResidentSteps
+from service.workers.scoring import TimedScorer
 from service.workers.tracker import Tracker
+from service.workers.visible import HalfShown
 
 DEVICE = {"step": "device", "particles": 300, "resampler": "multinomial"}
 
@@ -67,6 +69,10 @@ def test_particles_stay_within_the_bounds_and_sum_to_one(demo, tracker):
     report, _ = demo.track(tracker, "auto", **DEVICE)
     assert np.exp(report.state.log_weights).sum() == pytest.approx(1)
     assert np.allclose(np.linalg.norm(report.state.poses.quaternion, axis=1), 1, atol=1e-12)
+    mesh = tracker._mesh(*demo.model_of())
+    with tracker._scorers.lend("the same", "reference", mesh, 1) as scorer:
+        timed = TimedScorer(scorer, demo.report.articulation, np.zeros((64, 64), np.float32))
+        assert HalfShown(timed, mesh, (64, 64))(report.state.poses).all()
     assert report.timing_ms["score"] <= report.timing_ms["step"]
 
 
