@@ -108,6 +108,13 @@ def test_keyboard(server, sessions, open_page):
     saved = cv2.imread(download.value.path())
     assert saved.shape[0] > 100 and np.median(saved) > 128  # as it is seen: a dark sky, inverted
     assert page.locator("#frame .stage").first.screenshot() != before
+    with page.expect_download() as download:
+        page.keyboard.press("e")
+    video = cv2.VideoCapture(str(download.value.path()))
+    images = [image for ok, image in iter(video.read, (False, None)) if ok]
+    assert len(images) >= FRAMES and images[0].shape[1] > 100
+    assert np.median(images[-1]) > 128  # the last frame, in the same colours
+    expect(page.get_by_role("button", name="Video")).to_have_attribute("aria-pressed", "false")
     page.keyboard.press("r")
     expect(page.locator("#red")).to_be_visible()
     other = page.locator('#sessions [aria-current="true"]').get_attribute("data-session")

@@ -128,8 +128,8 @@ export class FrameView {
     this.beside[k].draw(width, height, this.size && this.window(width, height));
   }
 
-  // What is seen of the frame, outlines included, as a PNG.
-  async png() {
+  // What is seen of the frame, outlines included, as a canvas.
+  snapshot() {
     const { clientWidth: width, clientHeight: height } = this.picture.canvas;
     this.draw(width, height); // now: what WebGL has drawn is gone after this turn
     const canvas = new OffscreenCanvas(this.picture.canvas.width, this.picture.canvas.height);
@@ -137,7 +137,7 @@ export class FrameView {
     context.fillRect(0, 0, canvas.width, canvas.height);
     context.drawImage(this.picture.canvas, 0, 0);
     if (this.outlines.renderer) context.drawImage(this.outlines.renderer.domElement, 0, 0, canvas.width, canvas.height);
-    return canvas.convertToBlob({ type: "image/png" });
+    return canvas;
   }
 
   lines() {

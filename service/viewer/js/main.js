@@ -14,6 +14,7 @@ import { Shortcuts } from "./shortcuts.js";
 import { SkyView } from "./sky.js";
 import { SpinView } from "./spin.js";
 import { Timeline } from "./timeline.js";
+import { Video } from "./video.js";
 import { Watch } from "./watch.js";
 import { addHeading } from "./heading.js";
 import { follow } from "./progress.js";
@@ -32,6 +33,7 @@ const plots = new Plots($("plots"), {
   zoomed: (whether) => { $("whole").hidden = !whether; },
 });
 const timeline = new Timeline($("timeline"), { goTo: (index) => watch.goTo(index), live: () => watch.goLive() });
+const video = new Video($("frame").querySelector(".video"), frame, timeline);
 const heading = addHeading(api, { deleted: () => forget() });
 const watch = new Watch(api, { frame, model, cloud, sky: new SkyView($("sky")), readout, plots, timeline, heading });
 const comparison = new Comparison(api, $("compare"), $("truth-file"), {
@@ -146,6 +148,7 @@ new Shortcuts([
   ["less contrast, more", { "[": () => tools.brighter(-0.5), "]": () => tools.brighter(0.5) }],
   ["next colours", { c: () => tools.nextColours() }],
   ["save what is seen of the frame", { s: () => tools.save() }],
+  ["a video of the whole pass; again: stop there", { e: () => video.toggle() }],
   ["set the views back", { v: () => { model.resetView(); cloud.resetView(); } }],
   ["red light", { r: redLight }],
   ["this help", { "?": () => $("help").showModal() }],

@@ -42,7 +42,7 @@ export class FrameTools {
     const { session, shown } = this.frame;
     if (!shown) return;
     try {
-      download(await this.frame.png(), `${titleOf(session)}-frame-${shown.index}.png`);
+      download(await this.frame.snapshot().convertToBlob({ type: "image/png" }), `${titleOf(session)}-frame-${shown.index}.png`);
     } catch (error) {
       tellProblem(error);
     }
