@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from service.inference.pose import conjugate, log_so3, multiply, rotation_matric
 from service.inference.spin.alignment import ALIGNMENTS
 from service.inference.spin.basins import MODES, AttitudeModes, Basin, PassMotion
 from service.inference.spin.climb import MotionPrior, climb
-from service.inference.spin.fit import TUMBLING, weighed
+from service.inference.spin.fit import TUMBLING, once, weighed
 from service.inference.spin.frames import LOG_UNIFORM, PassFrames, seen_from
 from service.inference.spin.rigid_body import Motions
 from service.inference.spin.starts import anchors, distinct
@@ -37,10 +37,11 @@ class HeldPrior(MotionPrior):
 
 
 def attitude_modes(frames: PassFrames, references: Mapping[str, Array], found: PassMotion) -> AttitudeModes:
-    """``frames``: of rotations body -> GCRF. ``references``: (n, 4) rotations reference -> GCRF of every frame, of
+    """``frames``: of rotations body -> GCRF; ``found``: the motions that nothing holds.
 
-    ``nadir_pointing`` (x along the orbit, y against its normal, z to the Earth's centre), ``yaw_steering`` (z to the
-    Earth's centre, y across the Sun) and ``sun_pointing`` (z to the Sun). ``found``: the motions without a frame.
+    ``references``: (n, 4) rotations reference -> GCRF of every frame, of ``nadir_pointing`` (x along the orbit, y
+    against its normal, z to the Earth's centre), ``yaw_steering`` (z to the Earth's centre, y across the Sun) and
+    ``sun_pointing`` (z to the Sun).
     """
     laws = {
         "inertially_fixed": (None, _any),
@@ -72,8 +73,9 @@ def _tops(frames: PassFrames, reference: Array | None, law: Callable[[Array], Ar
     motions = Motions(start, np.zeros((len(start), 3)), np.zeros((len(start), 0)))
     motions, score = climb(seen, motions, prior, found.reference_s, _ROUNDS)
     motions = motions[distinct(motions, score, frames.time_s - found.reference_s, _TOPS)]
+    motions = motions[once(motions, found.rotations, found.half_span_s)]
     basins = [weighed(seen, motions[k : k + 1], prior, found.reference_s) for k in range(len(motions))]
-    return [replace(one, bodies="free") for one in basins if one is not None]
+    return [one for one in basins if one is not None]
 
 
 def _any(quaternion: Array) -> Array:

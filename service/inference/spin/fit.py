@@ -45,7 +45,7 @@ def fit_pass(
         widest = bodies.get("mesh", bodies["free"])
         start = candidates(frames, widest, tumbling=tumbling, reference_s=reference_s)
         tops = _climbed(frames, start, widest, reference_s)
-        tops = tops[_once(tops, rotations, half_span_s)]
+        tops = tops[once(tops, rotations, half_span_s)]
         priors: dict[Bodies, MotionPrior] = bodies if tumbling else {"free": bodies["free"]}
         log_prior = np.log(TUMBLING / len(priors)) if tumbling else np.log(1 - TUMBLING)
         for name, body in priors.items():
@@ -80,7 +80,7 @@ def _climbed(frames: PassFrames, start: Motions, prior: MotionPrior, reference_s
     return start
 
 
-def _once(tops: Motions, rotations: Sequence[Array], half_span_s: float) -> NDArray[np.intp]:
+def once(tops: Motions, rotations: Sequence[Array], half_span_s: float) -> NDArray[np.intp]:
     """Indices of tops that are not another one seen through a symmetry of the body."""
     kept: list[int] = []
     for k in range(len(tops)):

@@ -65,7 +65,12 @@ def pass_frames(
 
 
 def with_equivalents(frames: PassFrames, symmetries: Sequence[Symmetry]) -> PassFrames:
-    """Frames of rotations body -> camera, every mode also as the body's symmetry-equivalents show it."""
+    """Frames of rotations body -> camera, every mode also as the body's symmetry-equivalents show it.
+
+    Those of a mirror turn otherwise than what they mirror, so candidates begin at them, too.
+    """
+    symmetries = sorted(symmetries, key=lambda one: one.kind != "mirror")
+    starts = frames.n_starts * (1 + sum(one.kind == "mirror" for one in symmetries))
     copies = [frames]
     shape = frames.log_weight.shape
     flat = frames.quaternion.reshape(-1, 4)
@@ -80,6 +85,7 @@ def with_equivalents(frames: PassFrames, symmetries: Sequence[Symmetry]) -> Pass
         quaternion=np.concatenate([one.quaternion for one in copies], axis=1),
         root=np.concatenate([one.root for one in copies], axis=1),
         log_weight=np.concatenate([one.log_weight for one in copies], axis=1) - np.log(len(copies)),
+        n_starts=starts,
     )
 
 
