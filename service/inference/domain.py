@@ -14,7 +14,7 @@ from service.inference.pose import concatenate
 from service.inference.state import Array, Poses
 
 ShowsHalf = Callable[[Poses], NDArray[np.bool_]]  # (N,) which poses show at least half of the body in the image
-_ROUNDS = 30  # of drawing, of which each accepts a quarter or more unless the body is far larger than the image
+_ROUNDS = 100  # of drawing, of which each accepts a fifth or more unless the body is larger than the image
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,11 @@ class Domain:
     def position_bounds(self) -> tuple[Array, Array]:
         """(2,) least and greatest x and y of the body's centre, px.
 
-        Half of a lopsided body can be seen while its centre is outside, by its largest radius at most.
+        Half of a lopsided body can be seen while its centre is outside: by its largest radius at most, and by no more
+        than the image's longer side.
         """
-        reach = 0.0 if self.shows_half is None else self.radius * float(np.exp(self.log_scale_bounds[1]))
+        largest = min(self.radius * float(np.exp(self.log_scale_bounds[1])), max(self.width, self.height))
+        reach = 0.0 if self.shows_half is None else largest
         return np.full(2, -reach), np.array([self.width, self.height]) + reach
 
     @property

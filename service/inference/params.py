@@ -29,7 +29,7 @@ class FilterParams:
     __pydantic_config__: ClassVar[dict[str, Any]] = FORBID
 
     preset: Literal["balanced", "paper"] = "balanced"
-    """Where other defaults come from. `paper`: the published method, but for its prior of place (docs/method.md)."""
+    """Where other defaults come from. `paper`: the published method (docs/method.md)."""
     method: Literal["auto", "mixture", "bootstrap"] = "auto"
     """`mixture` (`auto`): modes that explain the light itself, the Sun told or not (docs/model.md); it draws with
     OpenCL. `bootstrap`: resample, jitter, weigh, once a frame (the paper)."""
