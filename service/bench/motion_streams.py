@@ -9,10 +9,11 @@ import numpy as np
 from service.inference.pose import conjugate, exp_so3, multiply
 from service.inference.spin.basins import nutation
 from service.inference.spin.frames import DEGREES, PassFrames, pass_frames
-from service.inference.spin.noise import LASTS_S, SHARES
 from service.inference.spin.rigid_body import N_INERTIA, Motions, orientations
 from service.inference.state import Array
 
+_STAYS = (0.0, 0.1, 0.25, 0.5)  # share of the errors' variance that stays
+_LASTS_S = (0.3, 1.0, 3.0, 10.0, 30.0)
 _SIGMAS_DEG = (0.2, 2.0)  # of a frame, log-uniform: calm air, and D/r0 of 4
 _MISSED = 0.04  # share of frames whose modes are all wrong
 _TWIN = conjugate(np.array([0.0, 0.0, 1.0, 0.0]))  # a body that looks alike from behind
@@ -61,7 +62,7 @@ class Seen:
 def seen_stream(rng: np.random.Generator, times: Array, q: Array) -> Seen:
     """Frames of orientations (n, 4): each has the truth and its twin as modes, and errs alike with its neighbours."""
     sigma_deg = float(np.exp(rng.uniform(*np.log(_SIGMAS_DEG))))
-    stays, lasts_s = float(rng.choice((0.0, *SHARES))), float(rng.choice(LASTS_S))
+    stays, lasts_s = float(rng.choice(_STAYS)), float(rng.choice(_LASTS_S))
     widths = np.deg2rad(sigma_deg) * np.exp(rng.normal(0.0, 0.4, 3))
     errors = draw_errors(rng, times, stays, lasts_s) * widths
     seen = multiply(q, exp_so3(errors))

@@ -9,9 +9,11 @@ import pytest
 from api_client import running
 from fake_worker import CUBE, FakeWorker
 
+from service.api.motion import PassMotion
 from service.attitude.camera import Site, equatorial_camera
 from service.attitude.held import held_frames
 from service.attitude.orbit import Orbit
+from service.cli.motion import lines
 from service.client import AsyncClient
 from service.inference.belief import Belief
 from service.inference.pose import exp_so3, from_matrices, multiply, rotation_matrices
@@ -106,6 +108,12 @@ async def test_a_body_held_to_nadir_is_told_so(make_app):
     assert mode["offset_axes_deg"]["pitch"] == pytest.approx(3.0, abs=5 * mode["sigma_axes_deg"]["pitch"])
     assert mode["offset_deg"] == pytest.approx(3.0, abs=5 * mode["sigma_deg"])
     assert mode["sigma_deg"] < 0.5
+    said = lines(PassMotion.model_validate(found))
+    assert [line.split()[0] for line in said] == [
+        *("model", "rate", "body", "period", "axis", "axis", "mode", "frames", "certainty"),
+        *(["note"] * len(found["warnings"])),
+    ]
+    assert "nadir pointing" in said[6]
 
 
 async def test_without_a_camera_rates_are_against_the_image(make_app):

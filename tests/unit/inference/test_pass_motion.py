@@ -52,15 +52,15 @@ def test_a_pass_with_twins_outliers_and_alike_errors_is_found_again(tumbling):
 def test_spreads_hold_when_truth_and_errors_are_drawn_from_their_priors():
     """Simulation-based calibration (Talts et al. 2018) of the rate, from the truth's own basin."""
     rng, inside = np.random.default_rng(1), []
-    for seed in range(40):
+    for seed in range(30):
         share = float(rng.choice((0.0, *SHARES)))
         alike = {"stays": share, "lasts_s": float(rng.choice(LASTS_S))}
         truth, times = constant(2.0, seed), np.linspace(-10.0, 10.0, 60)
         basin = weighed(stream(truth, times, 1.0, rng, **alike), truth, MotionPrior(ANY, np.zeros(5), 1.0), 0.0)
         off = basin.motion.rate[0] - truth.rate[0]
         inside.append(chi2.cdf(off @ np.linalg.solve(basin.covariance[3:6, 3:6], off), 3))
-    assert 0.29 < np.mean(np.array(inside) < 0.5) < 0.71  # 2.6 standard deviations of 40 draws
-    assert np.mean(np.array(inside) < 0.9) > 0.82
+    assert 0.26 < np.mean(np.array(inside) < 0.5) < 0.74  # 2.6 standard deviations of 30 draws
+    assert np.mean(np.array(inside) < 0.9) > 0.75
 
 
 def test_frames_that_repeat_their_errors_are_not_told_as_many():
