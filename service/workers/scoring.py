@@ -84,8 +84,8 @@ class TimedScorer:
 
     def __call__(self, poses: Poses) -> Array:
         """(N,) sums of the map under each silhouette."""
-        placed = (part_transforms(self.articulation, batch) for batch in self.batches(poses))
-        return np.concatenate([self.sums(transforms, self._log_ratio) for transforms in placed])
+        parts = self.batches(poses)  # the transforms of one at a time
+        return np.concatenate([self.sums(part_transforms(self.articulation, one), self._log_ratio) for one in parts])
 
     def batches(self, poses: Poses) -> list[Poses]:
         """The poses in parts whose transforms need no more than ``TRANSFORMS_BYTES``; at least one part."""

@@ -59,7 +59,8 @@ export class Video {
     }
     recorder.stop();
     await ended;
-    if (frame.session === session) download(new Blob(parts, { type: kind }), `${titleOf(session)}.${kind.slice(6).split(";")[0]}`);
+    const ending = kind.slice(6).split(";")[0];
+    if (frame.session === session) download(new Blob(parts, { type: kind }), `${titleOf(session)}.${ending}`);
   }
 
   // Until image and outlines are those of a frame; one that never comes is left out.
