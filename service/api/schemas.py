@@ -50,10 +50,10 @@ class Pose(Wire):
 
 
 class BestPose(Pose):
-    """The particle of highest likelihood in this frame."""
+    """The pose of the heaviest mode; with `bootstrap` the particle of highest likelihood in this frame."""
 
     log_likelihood: float | None
-    """Null in smoothed estimates, where `best` is the mean of the heaviest mode."""
+    """Null in smoothed estimates: their poses were never scored."""
 
 
 class Spread(Wire):
