@@ -98,6 +98,7 @@ class Estimate(Wire):
     """Eq. 5 over all particles, the rotation averaged on SO(3)."""
     best: BestPose
     spread: FullSpread
+    """`mixture`: within the mode of `best`. `bootstrap`: over all particles."""
     modes: list[Mode]
     """Their weights are probabilities, given that the model fits."""
     probabilities: Probabilities | None = None
