@@ -50,10 +50,10 @@ class Pose(Wire):
 
 
 class BestPose(Pose):
-    """The particle of highest likelihood in this frame."""
+    """The pose of the heaviest mode; with `bootstrap` the particle of highest likelihood in this frame."""
 
     log_likelihood: float | None
-    """Null in smoothed estimates, where `best` is the mean of the heaviest mode."""
+    """Null in smoothed estimates: their poses were never scored."""
 
 
 class Spread(Wire):
@@ -98,6 +98,7 @@ class Estimate(Wire):
     """Eq. 5 over all particles, the rotation averaged on SO(3)."""
     best: BestPose
     spread: FullSpread
+    """`mixture`: within the mode of `best`. `bootstrap`: over all particles."""
     modes: list[Mode]
     """Their weights are probabilities, given that the model fits."""
     probabilities: Probabilities | None = None

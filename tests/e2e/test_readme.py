@@ -1,5 +1,7 @@
 """What the README tells a newcomer to type works, word for word."""
 
+import json
+import os
 import re
 import shutil
 import socket
@@ -90,6 +92,42 @@ def test_the_client_page(root: Path, folder: Path, port: int) -> None:
     assert done.stdout.splitlines()[-1] == f"frame-gap frame 99 is not the next; frame {FRAMES} is {FRAMES}"
     (segment,) = AEM.from_str((folder / "pass.aem").read_text()).segments
     assert [state.epoch.isostring() for state in segment.states] == ["2026-11-20T03:04:05Z"]
+
+
+@pytest.mark.skipif(shutil.which("jq") is None or shutil.which("curl") is None, reason="curl or jq not installed")
+def test_the_tutorial_and_its_notebook(root: Path, folder: Path, port: int) -> None:
+    (folder / "docs").symlink_to(root / "docs")
+    page = (root / "docs" / "tutorial.md").read_text()
+    script = "".join(re.findall(r"^```bash\n(.*?)^```$", page, flags=re.M | re.S))
+    url = f"http://127.0.0.1:{port}"
+    for shown, here in (
+        (":8000", f":{port}"),
+        ("--frames 40", f"--frames {FRAMES}"),
+        ("py evening", f"py --url {url} evening"),
+    ):
+        assert shown in script
+        script = script.replace(shown, here)
+    here = {**os.environ, "SKYPOSE_URL": url, "MPLBACKEND": "template"}
+    here["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), here["PATH"]])
+    done = subprocess.run(
+        ["bash", "-e"], input=script, cwd=folder, capture_output=True, text=True, timeout=120, env=here
+    )
+    assert done.returncode == 0, done.stderr
+    assert '"status": "tracking"' in done.stdout
+    segments = AEM.from_str((folder / "evening.aem").read_text()).segments  # one where rates are known, one where not
+    assert sum(len(segment.states) for segment in segments) > 0
+    assert {path.name for path in (folder / "figures").iterdir()} == {"orientation.png", "corner.png", "residuals.png"}
+    assert (folder / "evening.csv").stat().st_size > 0 and (folder / "evening.a").stat().st_size > 0
+
+    cells = json.loads((root / "docs" / "notebook.ipynb").read_text())["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code").replace(
+        ":8000", f":{port}"
+    )
+    command = [sys.executable, "-W", "error", "-"]
+    done = subprocess.run(command, input=code, cwd=folder, capture_output=True, text=True, timeout=120, env=here)
+    assert done.returncode == 0, done.stderr
+    found = re.search(r"median error ([\d.]+)°.*\nmedian error in GCRF ([\d.]+)°", done.stdout)
+    assert found and all(float(error) < 5 for error in found.groups())
 
 
 def test_ingest(root: Path, folder: Path, port: int) -> None:
