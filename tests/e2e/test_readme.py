@@ -110,7 +110,7 @@ def test_the_tutorial_and_its_notebook(root: Path, folder: Path, port: int) -> N
     here = {**os.environ, "SKYPOSE_URL": url, "MPLBACKEND": "template"}
     here["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), here["PATH"]])
     done = subprocess.run(
-        ["bash", "-e"], input=script, cwd=folder, capture_output=True, text=True, timeout=120, env=here
+        ["bash", "-e"], input=script, cwd=folder, capture_output=True, text=True, timeout=240, env=here
     )
     assert done.returncode == 0, done.stderr
     assert '"status": "tracking"' in done.stdout
@@ -124,7 +124,7 @@ def test_the_tutorial_and_its_notebook(root: Path, folder: Path, port: int) -> N
         ":8000", f":{port}"
     )
     command = [sys.executable, "-W", "error", "-"]
-    done = subprocess.run(command, input=code, cwd=folder, capture_output=True, text=True, timeout=120, env=here)
+    done = subprocess.run(command, input=code, cwd=folder, capture_output=True, text=True, timeout=240, env=here)
     assert done.returncode == 0, done.stderr
     found = re.search(r"median error ([\d.]+)°.*\nmedian error in GCRF ([\d.]+)°", done.stdout)
     assert found and all(float(error) < 5 for error in found.groups())
