@@ -42,7 +42,7 @@ class Drawn(LightOfFrame):
     """A frame whose sky is known to be even."""
 
     def __init__(self, image: np.ndarray) -> None:
-        self._light = self._whole = Light(image.astype(np.float32), SIGMA, 1e-3, 1.0, np.zeros(image.shape, bool))
+        self._whole = Light(image.astype(np.float32), SIGMA, 1e-3, 1.0, np.zeros(image.shape, bool))
         self._psf_px, self._region = 1.3, None
 
 
