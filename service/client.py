@@ -181,6 +181,10 @@ class Client:
         """How the object turned, from all frames. Raises ``ClientError`` (409) for too few of them."""
         return self.call(calls.get(PassMotion, f"/v1/sessions/{session_id}/motion"))
 
+    def report(self, session_id: str) -> bytes:
+        """The pass for people, as one HTML file. Raises ``ClientError`` (409) before the first frame."""
+        return self.call(calls.get_bytes(f"/v1/sessions/{session_id}/report"))
+
     def overlay(self, session_id: str, index: int) -> bytes:
         """PNG of a frame with the best silhouette in blue."""
         return self.call(calls.get_bytes(f"/v1/sessions/{session_id}/estimates/{index}/overlay.png"))

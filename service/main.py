@@ -48,6 +48,7 @@ from service.sessions.library import Library
 from service.sessions.line import Line
 from service.sessions.pruning import Pruning
 from service.sessions.registry import Registry
+from service.sessions.report import Reports
 from service.sessions.session import Rooms
 from service.sessions.status import Status
 from service.settings import MEBIBYTE, Settings
@@ -120,6 +121,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
     keys = Keys(database, settings.credential_cache_s, settings.quota_keys)
     tickets = SharedTickets(database, settings.ticket_s) if database.shared else OwnTickets(settings.ticket_s)
     forwarding = _forwarding(settings, database, me, Ears(hub, registry, keys), metrics)
+    archive, status = Archive(database, engine), Status(database, engine, settings.min_free_mb * MEBIBYTE)
     return Services(
         settings=settings,
         metrics=metrics,
@@ -127,11 +129,12 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         registry=registry,
         pruning=Pruning(database, registry, Rules(settings.end_idle_days, settings.retain_ended_days)),
         library=library,
-        archive=Archive(database, engine),
+        archive=archive,
+        reports=Reports(archive, library, status, settings.keep_frame_bodies),
         checkpoints=Checkpoints(database, registry, library, engine, _check_estimate),
         batch_places=Places(settings.max_batches, "SKYPOSE_MAX_BATCHES"),
         batches=Batches(registry, engine, inspector),
-        status=Status(database, engine, settings.min_free_mb * MEBIBYTE),
+        status=status,
         admission=Admission(settings.max_pending_mb * MEBIBYTE, settings.quota_pending_mb * MEBIBYTE),
         submissions=Submissions(),
         forwarding=forwarding,

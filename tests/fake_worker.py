@@ -96,14 +96,14 @@ class FakeWorker:
         state = drift(job, articulation.n_joints)
         return FrameReport(state, summary(state), {"decode": 1.0, "total": 2.0}, "fake")
 
-    def overlay(self, job: OverlayJob) -> bytes:
+    def overlay(self, job: OverlayJob) -> tuple[bytes, ...]:
         self.blobs.update(job.blobs)
         if job.model not in self.blobs:
             raise MissingBlobError.of([job.model])
         image = cv2.cvtColor(decode(job.body, job.media_type), cv2.COLOR_GRAY2BGR)
-        if job.show != "frame":
-            image[..., 0] = 255
-        return cv2.imencode(".png", image)[1].tobytes()
+        blue = np.concatenate([np.full_like(image[..., :1], 255), image[..., 1:]], axis=2)
+        drawn = (image if name == "frame" else blue for name in job.show)
+        return tuple(cv2.imencode(".png", picture)[1].tobytes() for picture in drawn)
 
     def mesh(self, job: MeshJob) -> bytes:
         self.blobs.update(job.blobs)

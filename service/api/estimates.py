@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.api import schemas
 from service.api.auth import ReadSession
 from service.api.description import bytes_answered
+from service.api.health import release
 from service.api.motion import PassMotion
 from service.api.paging import next_page, page_limit, page_response, problems
 from service.api.services import ServicesDep
@@ -139,6 +140,25 @@ async def read_motion(session: ReadSession, services: ServicesDep) -> Response:
 
 
 @router.get(
+    "/report",
+    response_class=Response,
+    responses={200: {"content": {"text/html": {}}}, **problems(404, 409, 503)},
+)
+async def read_report(session: ReadSession, session_id: str, services: ServicesDep) -> Response:
+    """The pass for people, as one HTML file: answer, pictures, motion, attitude, geometry, where it comes from.
+
+    It loads nothing and holds no script. 409 before the first frame.
+    """
+    body = await services.reports.of(session, release())
+    headers = {
+        "Content-Disposition": f'inline; filename="{session_id}.html"',
+        "Content-Security-Policy": "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+        "frame-ancestors 'none'",
+    }
+    return Response(body, media_type="text/html", headers=headers)
+
+
+@router.get(
     "/particles",
     response_class=Response,
     responses={200: {"content": {"application/json": {}, NPZ: {}}}, **problems(404, 410, 422)},
@@ -189,7 +209,7 @@ def _particles_json(found: ParticleSet, most: int | None) -> bytes:
 async def _picture(
     session: ReadSession, index: int, services: ServicesDep, show: Literal["frame", "overlay", "model", "residual"]
 ) -> Response:
-    image = await services.archive.picture(session, index, show)
+    (image,) = await services.archive.pictures(session, index, (show,))
     return Response(image, media_type="image/png", headers={"Cache-Control": "private, max-age=86400"})
 
 

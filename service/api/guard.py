@@ -30,7 +30,7 @@ _HEADERS = {
 }
 # Frames and backgrounds are in their session's own history: one entry each would bury the rest.
 _NOT_AUDITED = ("/frames", "/frames/{index}", "/background", "/tickets")
-_AUDITED_READS = ("/checkpoint", "/export")  # which carry a whole session away
+_AUDITED_READS = ("/checkpoint", "/export", "/report")  # which carry a whole session away
 _CREDENTIAL_STATUSES = (401, 403)
 
 
@@ -78,7 +78,7 @@ class Guard:
 def _mark(headers: MutableHeaders, policy: str, *, private: bool) -> None:
     for name, value in _HEADERS.items():
         headers[name] = value
-    headers["Content-Security-Policy"] = policy
+    headers.setdefault("Content-Security-Policy", policy)
     if private:
         headers.add_vary_header("Authorization")
         headers.setdefault("Cache-Control", "no-store")

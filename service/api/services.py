@@ -26,6 +26,7 @@ from service.sessions.hub import Hub
 from service.sessions.library import Library
 from service.sessions.pruning import Pruning
 from service.sessions.registry import Registry
+from service.sessions.report import Reports
 from service.sessions.status import Status
 from service.settings import Settings
 
@@ -41,6 +42,7 @@ class Services:
     pruning: Pruning
     library: Library
     archive: Archive
+    reports: Reports
     checkpoints: Checkpoints
     batches: Batches
     batch_places: Places

@@ -15,6 +15,7 @@ from service.cli.model import model
 from service.cli.motion import motion
 from service.cli.openapi import openapi
 from service.cli.plot import plot
+from service.cli.report import report
 from service.cli.serve import serve
 from service.cli.sessions import sessions
 from service.cli.simulate import simulate
@@ -31,6 +32,7 @@ app.command()(doctor)
 app.command()(ingest)
 app.command()(export)
 app.command()(motion)
+app.command()(report)
 app.command()(openapi)
 app.command()(verify)
 app.command()(backup)

@@ -136,6 +136,7 @@ class OfflinePass:
             console.print(f"no motion.json: {error.detail}")
         else:
             (self.out / "motion.json").write_text(motion.model_dump_json(indent=2) + "\n")
+        (self.out / "report.html").write_bytes(client.report(session.session_id))
         try:
             attitudes = client.export(session.session_id, "aem", smoothed=self.smoothed)
         except RefusedError as error:

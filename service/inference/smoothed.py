@@ -21,13 +21,14 @@ class SmoothedEstimate:
 
     mean: PoseEstimate
     best: PoseEstimate
-    spread: Spread
+    spread: Spread  # within the mode of ``best``
+    spread_all: Spread  # over all modes and twins, about ``mean``
     modes: tuple[Mode, ...]
     rates: Rates | None
 
 
 def summarise_belief(belief: Belief, twins: Sequence[Symmetry], domain: Domain, with_rates: bool) -> SmoothedEstimate:
-    """Mean, spread and modes over all twins; rates of the heaviest mode where the motion has any."""
+    """Mean, spreads and modes over all twins; rates of the heaviest mode where the motion has any."""
     weights = np.exp(belief.log_weights)
     clouds = [_everybody(sigma_points(belief, k), twins, domain) for k in range(len(belief))]
     each = len(clouds[0][0])  # points of one mode
@@ -46,7 +47,8 @@ def summarise_belief(belief: Belief, twins: Sequence[Symmetry], domain: Domain, 
     return SmoothedEstimate(
         mean=report(mean),
         best=best,
-        spread=spread(poses, shared, mean, domain.wrapping),
+        spread=spread(clouds[top][0], even, belief.poses[np.array([top])], domain.wrapping),
+        spread_all=spread(poses, shared, mean, domain.wrapping),
         modes=tuple(sorted(modes, key=lambda mode: -mode.weight)),
         rates=rates,
     )

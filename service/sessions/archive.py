@@ -77,8 +77,8 @@ class Archive:
         _, stored = await self.database.read(frames.find, session_id, index=None, key=key)
         return None if stored is None else await self.estimate(session_id, stored.index)
 
-    async def picture(self, session_id: SessionKey, index: int, show: Shown) -> bytes:
-        """PNG of a frame, or of what its best pose says of it. Raises ``GoneError`` where it is no longer kept."""
+    async def pictures(self, session_id: SessionKey, index: int, show: Sequence[Shown]) -> tuple[bytes, ...]:
+        """PNGs of a frame, and of what its best pose says of it. Raises ``GoneError`` where it is no longer kept."""
         body, media_type = await self.database.read(frames.body, session_id, index)
         estimate = orjson.loads(await self.estimate(session_id, index))
         best = estimate["best"]
@@ -98,7 +98,7 @@ class Archive:
             config=config,
             background=record.background_key,
             sun=sun_in_image(estimate, config.camera),
-            show=show,
+            show=tuple(show),
         )
         return await self._engine.overlay(tenant_of(session_id), job, self._blob)
 
@@ -193,6 +193,6 @@ def session_document(record: SessionRecord) -> dict[str, Any]:
         "links": {
             **({} if record.model_ids else {"model": f"/v1/models/{model_id}"}),
             **{name: f"{here}/{name}" for name in ("background", "frames", "estimates", "particles")},
-            **{name: f"{here}/{name}" for name in ("stream", "events", "checkpoint", "export", "motion")},
+            **{name: f"{here}/{name}" for name in ("stream", "events", "checkpoint", "export", "motion", "report")},
         },
     }

@@ -119,10 +119,13 @@ def smoothed_document(
     """
     if smoothed is None:
         return orjson.dumps({**filtered, "smoothed": False})
+    both = "spread_all" in filtered  # of a filter that tells them apart
+    spread = smoothed.spread if both else smoothed.spread_all
     data = {
-        "mean": _pose(smoothed.mean, names, view, smoothed.spread),
+        "mean": _pose(smoothed.mean, names, view, spread),
         "best": {**_pose(smoothed.best, names, view), "log_likelihood": None},
-        "spread": _full_spread(smoothed.spread, names),
+        "spread": _full_spread(spread, names),
+        **({"spread_all": _full_spread(smoothed.spread_all, names)} if both else {}),
         "modes": _modes(smoothed.modes, names, view),
         "rates": _rates(smoothed.rates, names),
         "smoothed": True,

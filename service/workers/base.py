@@ -154,7 +154,7 @@ Shown = Literal["frame", "overlay", "model", "residual"]
 
 @dataclass(frozen=True)
 class OverlayJob:
-    """Draw a frame, or what an estimate says of it, as PNG: see ``Shown``."""
+    """Draw a frame, and what an estimate says of it, as PNG: see ``Shown``."""
 
     model: str
     file_type: str
@@ -168,7 +168,7 @@ class OverlayJob:
     config: SessionConfig
     background: str | None = None  # of ``model`` and ``residual``
     sun: NDArray[np.float64] | None = None  # (3,) towards the Sun in the image's axes; None: not known
-    show: Shown = "overlay"
+    show: tuple[Shown, ...] = ("overlay",)
     blobs: Mapping[str, bytes] = field(default_factory=dict)
 
 
@@ -234,8 +234,8 @@ class Worker(Protocol):
     def track(self, job: FrameJob) -> FrameReport:
         """Decode a frame, measure it, and run one step of the filter."""
 
-    def overlay(self, job: OverlayJob) -> bytes:
-        """PNG of a frame as ``job.show`` asks."""
+    def overlay(self, job: OverlayJob) -> tuple[bytes, ...]:
+        """PNGs of a frame as ``job.show`` asks, in its order."""
 
     def mesh(self, job: MeshJob) -> bytes:
         """GLB of a model's prepared mesh."""

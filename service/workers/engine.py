@@ -99,12 +99,12 @@ class Engine:
 
         return await _with_blobs(run, blobs)
 
-    async def overlay(self, tenant: str, job: OverlayJob, blobs: BlobSource) -> bytes:
-        """PNG of a frame with its best silhouette in blue."""
+    async def overlay(self, tenant: str, job: OverlayJob, blobs: BlobSource) -> tuple[bytes, ...]:
+        """PNGs of a frame as ``job.show`` asks, in its order."""
 
-        async def run(brought: Mapping[str, bytes]) -> bytes:
-            image: bytes = await self._beside(tenant, "overlay", replace(job, blobs=brought))
-            return image
+        async def run(brought: Mapping[str, bytes]) -> tuple[bytes, ...]:
+            images: tuple[bytes, ...] = await self._beside(tenant, "overlay", replace(job, blobs=brought))
+            return images
 
         return await _with_blobs(run, blobs)
 

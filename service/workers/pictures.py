@@ -21,13 +21,13 @@ from service.inference.articulation import Articulation, part_transforms
 from service.inference.model.drawing import View
 from service.inference.model.nuisance import Nuisance, best_spread
 from service.inference.model.prior import CORE_PX
-from service.inference.model.stages import FINEST, SHARP, Body, Sight, stage_hill
+from service.inference.model.stages import CLEAR, FINEST, SHARP, Body, Sight, stage_hill
 from service.inference.model.templates import directions
 from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import repeat
 from service.inference.state import Array, PoseEstimate, Poses
-from service.workers.base import OverlayJob
+from service.workers.base import OverlayJob, Shown
 from service.workers.cache import Cache
 from service.workers.full_frame import camera_window, in_window
 from service.workers.lit_body import LitBody
@@ -41,8 +41,8 @@ class LitPictures:
     def __init__(self, size: int) -> None:
         self._bodies: Cache[LitBody] = Cache(size, lambda body: body.close())
 
-    def draw(self, job: OverlayJob, whole: Image, sky: Sky, mesh: Mesh) -> RGB:
-        """(H, W, 3) uint8: the ``model`` or the ``residual`` of a job.
+    def draw(self, job: OverlayJob, whole: Image, sky: Sky, mesh: Mesh) -> dict[Shown, RGB]:
+        """(H, W, 3) uint8: the ``model`` and the ``residual`` of a job.
 
         Raises ``BackendMissingError`` where there is no OpenCL.
         """
@@ -59,12 +59,12 @@ class LitPictures:
             body, light, _in_window(_pose(job), window), job.sun, config.camera.psf_sigma_px
         )
         low, span = stretch_of(image.image)
-        if job.show == "residual":
-            left = cv2.GaussianBlur(light.image, (0, 0), low_pass_px) - model
-            picture = draw_left_over(left / np.float32(0.5 * span))
-        else:
-            picture = stretched(sky.mean.mean(axis=2) + model, low, span)
-        return _in_frame(picture, window, (height, width))
+        left = cv2.GaussianBlur(light.image, (0, 0), low_pass_px) - model
+        drawn: dict[Shown, RGB] = {
+            "model": stretched(sky.mean.mean(axis=2) + model, low, span),
+            "residual": draw_left_over(left / np.float32(0.5 * span)),
+        }
+        return {name: _in_frame(picture, window, (height, width)) for name, picture in drawn.items()}
 
     def close(self) -> None:
         """Give the devices' memory back."""
@@ -86,9 +86,9 @@ def model_light(body: Body, light: Light, pose: Poses, sun: Array | None, psf_px
         rough = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
         looks = ascend(rough, repeat(pose, _SUNS), directions(_SUNS), steps=0, covariance="none")
         sun = max(looks, key=lambda look: look.log_posterior).sun
-    nuisance = best_spread(
-        stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), pose, sun[None], nuisance
-    )
+    # On CLEAR's patch: the same answer as on FINEST's within a step of the grid, at a fifth of the time.
+    clear = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
+    nuisance = best_spread(clear, pose, sun[None], nuisance)
     fine = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
     (found,) = ascend(fine, pose, sun[None], steps=0, covariance="none")
     return _laid(found.fit.model, fine.view, light.image.shape), fine.scene.smoothing * fine.view.binning

@@ -21,7 +21,7 @@ from service.imaging.background import Background, Sky, derive, known_pixels, le
 from service.imaging.decode import Frame as Image
 from service.imaging.features import feature_spec
 from service.imaging.measurement import measure
-from service.imaging.overlay import draw_overlay, encode_png, for_display
+from service.imaging.overlay import RGB, draw_overlay, encode_png, for_display
 from service.imaging.own_sky import own_sky
 from service.imaging.split import SplitFrame
 from service.imaging.transfer import linear
@@ -47,6 +47,7 @@ from service.workers.base import (
     OverlayJob,
     RestoreJob,
     RestoreReport,
+    Shown,
     SmoothJob,
     SmoothReport,
 )
@@ -194,20 +195,22 @@ class Tracker:
             lambda: held_symmetries(job.twins, job.articulation, articulation),
         )
 
-    def overlay(self, job: OverlayJob) -> bytes:
-        """PNG of a frame as ``job.show`` asks."""
+    def overlay(self, job: OverlayJob) -> tuple[bytes, ...]:
+        """PNGs of a frame as ``job.show`` asks, in its order."""
         image = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
-        if job.show == "frame":
-            return encode_png(for_display(image.image))
-        mesh = self._mesh(job.model, job.file_type, job.blobs)
-        if job.show != "overlay":
+        drawn: dict[Shown, RGB] = {}
+        if "frame" in job.show:
+            drawn["frame"] = for_display(image.image)
+        mesh = self._mesh(job.model, job.file_type, job.blobs) if set(job.show) - {"frame"} else None
+        if mesh is not None and "overlay" in job.show:
+            pose = PoseEstimate(job.quaternion, job.position, job.scale, job.joints)
+            height, width = image.image.shape[:2]
+            mask = draw_silhouette(mesh, job.articulation, pose, (height, width))
+            drawn["overlay"] = draw_overlay(image.image, mask)
+        if mesh is not None and {"model", "residual"} & set(job.show):
             assert job.background is not None, "what is left over is left over of the light above a sky"
-            sky = self._sky(job.config, job.background, job.blobs)
-            return encode_png(self._lit_pictures.draw(job, image, sky, mesh))
-        pose = PoseEstimate(job.quaternion, job.position, job.scale, job.joints)
-        height, width = image.image.shape[:2]
-        mask = draw_silhouette(mesh, job.articulation, pose, (height, width))
-        return encode_png(draw_overlay(image.image, mask))
+            drawn |= self._lit_pictures.draw(job, image, self._sky(job.config, job.background, job.blobs), mesh)
+        return tuple(encode_png(drawn[name]) for name in job.show)
 
     def mesh(self, job: MeshJob) -> bytes:
         """GLB of a model's prepared mesh."""

@@ -92,7 +92,7 @@ function when(time) {
 }
 
 async function save(api, id, format) {
-  const answer = await api.call(`/v1/sessions/${id}/export?format=${format}`);
+  const answer = await api.call(`/v1/sessions/${id}/${format === "report" ? "report" : `export?format=${format}`}`);
   const named = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "");
   download(await answer.blob(), named?.[1] ?? `${id}.${format}`);
 }

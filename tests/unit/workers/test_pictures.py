@@ -62,7 +62,7 @@ def job(pose, sun=lit_body.SUN) -> OverlayJob:
 def left_over(pictures, image, asked) -> float:
     """Mean of the residual's colour over the frame."""
     mesh, _ = lit_body.lit_mesh()
-    return float(pictures.draw(replace(asked, show="residual"), image, sky(), mesh).max(axis=2).mean())
+    return float(pictures.draw(asked, image, sky(), mesh)["residual"].max(axis=2).mean())
 
 
 @pytest.mark.parametrize("blur", [0.0, 3.0])
@@ -70,7 +70,7 @@ def test_the_model_looks_like_the_frame(pictures, blur):
     """Where all is blurred, the patch is coarser."""
     pose = lit_body.pose()
     image, (mesh, _) = frame(pose, blur), lit_body.lit_mesh()
-    model = pictures.draw(replace(job(pose), show="model"), image, sky(), mesh)[:, :, 0].astype(float)
+    model = pictures.draw(job(pose), image, sky(), mesh)["model"][:, :, 0].astype(float)
     blurred = cv2.GaussianBlur(image.image.astype(np.float32), (0, 0), 1.0)
     assert np.corrcoef(model.ravel(), blurred.ravel())[0, 1] > 0.98
 
@@ -89,12 +89,12 @@ def test_a_binned_region_is_drawn_in_its_place(pictures):
     whole = frame(pose)
     x, y = (int(v) for v in lit_body.VIEW.origin)
     camera = replace(SessionConfig().camera, roi=(x - 8, y - 8, 80, 80), binning=2)
-    asked = replace(job(pose), show="model", config=replace(SessionConfig(), camera=camera))
+    asked = replace(job(pose), config=replace(SessionConfig(), camera=camera))
     part = replace(sky(), mean=np.full((40, 40, 1), LEVEL, np.float32))
-    drawn = pictures.draw(asked, whole, part, lit_body.lit_mesh()[0])
+    drawn = pictures.draw(asked, whole, part, lit_body.lit_mesh()[0])["model"]
     assert drawn.shape == (*SIZE, 3)
     assert drawn[: y - 8].max() == drawn[:, : x - 8].max() == 0
-    full = pictures.draw(replace(job(pose), show="model"), whole, sky(), lit_body.lit_mesh()[0])
+    full = pictures.draw(job(pose), whole, sky(), lit_body.lit_mesh()[0])["model"]
     inside = (slice(y, y + lit_body.SIDE), slice(x, x + lit_body.SIDE), 0)
     assert np.corrcoef(drawn[inside].ravel().astype(float), full[inside].ravel().astype(float))[0, 1] > 0.9
 

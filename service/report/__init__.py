@@ -1,0 +1,1 @@
+"""The report of a pass: one HTML file that needs nothing else."""

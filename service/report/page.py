@@ -1,0 +1,94 @@
+"""A report as one HTML file: no script, nothing that is loaded from elsewhere, fit to be printed."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+
+from service.report.curves import absolute, charts, seconds_of
+from service.report.film import Shot, film, stills
+from service.report.sentences import attitude_sentence, told_probability, turning_sentence, with_sigma
+
+Document = Mapping[str, Any]
+_MOST_STILLS = 6
+
+
+@dataclass(frozen=True)
+class Facts:
+    """All that a report tells, as the API tells it."""
+
+    session: Document
+    models: Sequence[Document]
+    estimates: Sequence[Document]  # at least one; with all later frames taken into account
+    motion: Document | None
+    why_no_motion: str  # where there is none
+    shots: Sequence[Shot]  # in the order of their frames
+    why_no_pictures: str  # where pictures are missing
+    span_px: float  # side of the square that a picture shows
+    system: Document  # versions and devices
+    made_at: str
+
+
+def report_html(facts: Facts) -> bytes:
+    """The file."""
+    chosen = [facts.shots[k] for k in evenly(len(facts.shots), _MOST_STILLS)]
+    estimates = facts.estimates
+    page = _template().render(
+        facts=facts,
+        session=facts.session,
+        motion=facts.motion,
+        sentences=(turning_sentence(facts.motion, facts.why_no_motion), attitude_sentence(facts.motion, estimates)),
+        seconds=seconds_of(estimates),
+        absolute=absolute(estimates),
+        statuses=Counter(estimate["status"] for estimate in estimates),
+        film=film(facts.shots, facts.span_px),
+        stills=stills(chosen, facts.span_px),
+        charts=charts(estimates),
+        places=[estimates[k] for k in evenly(len(estimates), 5)],
+        warnings=_said(facts),
+        settings=json.dumps(_settings(facts.session), indent=1, ensure_ascii=False),
+    )
+    return page.encode()
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """Numbers of so many things spread evenly over ``count`` of them, the first and the last among them."""
+    if count <= most:
+        return list(range(count))
+    return [round(k * (count - 1) / (most - 1)) for k in range(most)]
+
+
+def _said(facts: Facts) -> list[str]:
+    """Warnings of all frames, each once, with how many it came with."""
+    counts = Counter(text for estimate in facts.estimates for text in estimate["warnings"])
+    out = [*facts.session["warnings"], *(facts.motion["warnings"] if facts.motion else ())]
+    out += [f"{text} ({count} frames)" if count > 1 else text for text, count in counts.items()]
+    assumed = Counter(text for estimate in facts.estimates for text in estimate["assumed"])
+    names = {"background": "the sky was learnt from around the object", "time": "frames brought no time of their own"}
+    out += [f"assumed: {names.get(name, name)} ({count} frames)" for name, count in assumed.items()]
+    return list(dict.fromkeys(out))
+
+
+def _settings(session: Document) -> Document:
+    sections = ("filter", "likelihood", "prior", "motion", "camera", "joints", "light", "background")
+    return {name: session[name] for name in sections}
+
+
+@cache
+def _template() -> Template:
+    found = Environment(
+        loader=PackageLoader("service.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.filters["sigma"] = with_sigma
+    found.filters["probability"] = told_probability
+    return found.get_template("report.html")
