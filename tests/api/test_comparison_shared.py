@@ -13,6 +13,7 @@ MESHES = ("hubble", "shuttle_orbiter", "tdrs")
 FRAMES = 3
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not DATA.exists(), reason="no shared data beside the checkout")
 async def test_the_shuttle_is_recognised(make_app):
     async with running(make_app(Tracker, max_model_mb=256)) as api:

@@ -25,7 +25,7 @@ FRAMES = 30
 MOST_BYTES = 1.2e9
 START_LIMIT_S = 120.0
 
-pytestmark = pytest.mark.timeout(1500)
+pytestmark = [pytest.mark.timeout(1500), pytest.mark.long]
 
 
 @pytest.fixture(scope="module")

@@ -75,6 +75,7 @@ def test_actors_answer_refuse_and_are_replaced(cluster, tmp_path):
     asyncio.run(talk())
 
 
+@pytest.mark.long
 def test_lost_actors_and_nodes_lose_no_frame(cluster, server):
     """An actor is killed in the middle of one frame, its successor's node in the middle of another, and one comes."""
     from ray_cluster import actors, busy_actor, kill_actor, node_of

@@ -83,11 +83,14 @@ def test_hidden_pieces_change_nothing(kernel):
 
 
 @pytest.mark.parametrize("kernel", BACKENDS)
-def test_more_crossings_in_a_row_than_there_is_room_for(kernel):
+def test_more_crossings_in_a_row_than_there_is_room_for(kernel, monkeypatch):
+    crowded, score = [], OutlineScorer._score_crowded
+    monkeypatch.setattr(OutlineScorer, "_score_crowded", lambda *given: crowded.append(1) or score(*given))
     rng = np.random.default_rng(9)
-    mesh = mesh_of(soup(rng, 3000, 900))
-    poses = transforms(rng, mesh, 1, 30.0)
-    assert_twins(mesh, kernel, poses, a_map(rng))
+    mesh = mesh_of(soup(rng, 900, 300))
+    poses, values = transforms(rng, mesh, 1, 12.0), a_map(rng)
+    assert_twins(mesh, kernel, poses, values)
+    assert bool(crowded) == (kernel == "cpu")
 
 
 @pytest.mark.parametrize("kernel", BACKENDS)

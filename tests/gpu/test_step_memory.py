@@ -1,14 +1,15 @@
-"""A million particles in bounded memory, on the device and on the host, in a process of its own: its peak is theirs."""
+"""A million particles in bounded memory, on the device and on the host, in a process of its own."""
 
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from step_cases import Case
 
 HERE = Path(__file__).resolve().parent
-PEAK_BYTES = 1.5e9
+PEAK_BYTES = 1.3e9  # beyond what the libraries took before the first particle
 STEP = """
 import resource
 import numpy as np
@@ -21,6 +22,7 @@ from service.inference.weights import normalise
 from service.workers.scoring import TimedScorer
 
 case, n = Case(), 1_000_000
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 particles = case.step.upload(particles_of(case.prior(n), np.full(n, -np.log(n))))
 values, jitter = a_map(np.random.default_rng(0)), np.array([0.02] * 8)
 for resampler in ("multinomial", "systematic"):
@@ -34,11 +36,12 @@ config = SessionConfig(FilterParams(method="bootstrap", particles=n, step="host"
 frame, score = Frame(1, 0.1, Measurement(values, 0.0)), TimedScorer(case.scorer, case.domain.articulation, values)
 state, estimate = step(np.random.default_rng(0), state, frame, score, config, case.domain)
 assert 1 < estimate.ess < n, estimate
-print(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print(1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before))
 """
 
 
-def test_a_million_particles_need_less_than_a_gigabyte_and_a_half():
+@pytest.mark.long
+def test_a_million_particles_have_a_bound():
     assert Case().step.name  # skips where no device answers
     given = os.environ.get("PYTHONPATH", "")  # deploy/gpu-check finds the packages by it
     paths = os.pathsep.join([str(HERE.parent.parent), str(HERE), *filter(None, [given])])

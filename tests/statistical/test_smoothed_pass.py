@@ -80,6 +80,7 @@ def compare(track, filtered, smoothed) -> dict[str, float]:
     return found
 
 
+@pytest.mark.long
 def test_smoothing_gains_on_the_filter(tracker):
     """Orientation and rate, geometric means over the seeds of the passes' medians, with an honest spread.
 
