@@ -65,6 +65,7 @@ HEADS = {
         for found in pkgutil.iter_modules([path])
     ),
 }
+FILES = (".py", ".json", ".js", ".aem", ".png", ".html", ".md", ".txt")
 SECTIONS = {
     f"{section.name}.{field.name}"
     for section in fields(SessionConfig)
@@ -86,11 +87,7 @@ def is_there(name: str) -> bool:
 @pytest.mark.parametrize("page", PAGES[:1] + PAGES[2:], ids=lambda page: str(page.relative_to(ROOT)))
 def test_names_of_the_code_resolve(page: Path) -> None:
     dotted = re.findall(r"`([a-z]\w*(?:\.\w+)+)(?:\([^`]*\))?`", prose(page.read_text()))
-    ours = [
-        name
-        for name in dotted
-        if name.split(".")[0] in HEADS and not name.endswith((".py", ".json", ".js", ".aem", ".png", ".html", ".md", ".txt"))
-    ]
+    ours = [name for name in dotted if name.split(".")[0] in HEADS and not name.endswith(FILES)]
     assert [name for name in ours if not is_there(name)] == []
 
 
