@@ -197,8 +197,10 @@ class Client:
         """The weighted particles after a frame, the newest by default."""
         return self.call(calls.get_particles(session_id, index))
 
-    def export(self, session_id: str, file_format: str = "csv", *, smoothed: bool = False, **options: str) -> bytes:
-        """The attitude history as ``aem``, ``apm``, ``stk``, ``czml``, ``csv`` or ``npz``; options: docs/formats.md."""
+    def export(
+        self, session_id: str, file_format: str = "csv", *, smoothed: bool | None = None, **options: str
+    ) -> bytes:
+        """The attitude history as ``aem``, ``acm``, ``apm``, ``stk``, ``czml``, ``csv``, ``npz`` (docs/formats.md)."""
         return self.call(calls.export(session_id, file_format, smoothed, options))
 
     def checkpoint(self, session_id: str) -> bytes:

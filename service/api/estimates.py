@@ -31,16 +31,16 @@ class ExportQuery(BaseModel):
 
     model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
-    format: Literal["aem", "apm", "stk", "czml", "csv", "npz"] = "csv"
-    """CCSDS AEM or APM 2.0 (KVN), STK attitude file, CZML, or a table of every estimate."""
+    format: Literal["aem", "acm", "apm", "stk", "czml", "csv", "npz"] = "csv"
+    """CCSDS AEM, ACM (with covariance) or APM 2.0 (KVN), STK attitude file, CZML, or a table of every estimate."""
     pose: Literal["best", "mean"] = "best"
     """Which of an estimate's poses."""
     object_name: Annotated[str, Field(max_length=200)] | None = None
     """By default the session's name, or else its id."""
     object_id: Annotated[str, Field(max_length=200)] = "UNKNOWN"
     """International designator, YYYY-NNNP."""
-    smoothed: bool = False
-    """With all later frames taken into account, as in the list of estimates."""
+    smoothed: bool | None = None
+    """With all later frames taken into account, as in the list of estimates. By default of a session that has ended."""
 
 
 @router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422, 503))
@@ -185,7 +185,7 @@ async def read_particles(
 async def export(
     session_id: str, session: ReadSession, services: ServicesDep, query: Annotated[ExportQuery, Query()]
 ) -> Response:
-    """The attitude history as a file. `aem`, `apm`, `stk` and `czml` need frames with an absolute attitude."""
+    """The attitude history as a file. `aem`, `acm`, `apm`, `stk` and `czml` need frames with an absolute attitude."""
     kind = FORMATS[query.format]
     names: dict[str, Any] = {"name": query.object_name, "object_id": query.object_id}
     body = await services.archive.export(session, query.format, query.pose, **names, smoothed=query.smoothed)

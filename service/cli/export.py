@@ -12,12 +12,15 @@ from service.cli.remote_options import DEFAULT_URL, Key, Url, connected
 
 def export(
     session: Annotated[str, typer.Argument(help="The session's id.")],
-    file_format: Annotated[str, typer.Option("--format", help="aem, apm, stk, czml, csv or npz.")] = "csv",
+    file_format: Annotated[str, typer.Option("--format", help="aem, acm, apm, stk, czml, csv or npz.")] = "csv",
     out: Annotated[Path | None, typer.Option(help="File to write; without it, standard output.")] = None,
     pose: Annotated[str, typer.Option(help="Which of an estimate's poses: best or mean.")] = "best",
     object_name: Annotated[str | None, typer.Option(help="By default the session's name.")] = None,
     object_id: Annotated[str | None, typer.Option(help="International designator, YYYY-NNNP.")] = None,
-    smoothed: Annotated[bool, typer.Option("--smoothed", help="With all later frames taken into account.")] = False,
+    smoothed: Annotated[
+        bool | None,
+        typer.Option("--smoothed/--filtered", help="With all later frames, or not; by default if the session ended."),
+    ] = None,
     url: Url = DEFAULT_URL,
     key: Key = None,
 ) -> None:

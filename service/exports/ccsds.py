@@ -19,7 +19,7 @@ _SPREADS = "Standard deviations about the body axes X, Y, Z in degrees, by epoch
 
 def write_aem(history: AttitudeHistory) -> str:
     """An AEM with a segment for each uninterrupted stretch, and for what in it has no rate: rows must look alike."""
-    lines = _header("AEM", history)
+    lines = head("AEM", history)
     for stretch in history.segments:
         for _, samples in groupby(stretch, lambda sample: sample.rate_deg_s is None):
             lines += ["", *_segment(history, tuple(samples))]
@@ -29,25 +29,26 @@ def write_aem(history: AttitudeHistory) -> str:
 def write_apm(history: AttitudeHistory) -> str:
     """An APM of the newest attitude."""
     sample = history.segments[-1][-1]
-    x, y, z = (_number(value) for value in sample.quaternion[1:])
+    x, y, z = (number(value) for value in sample.quaternion[1:])
     frames = [f"REF_FRAME_A = {INERTIAL}", f"REF_FRAME_B = {BODY}"]
     lines = [
-        *_header("APM", history),
+        *head("APM", history),
         *("", *_object(history), "TIME_SYSTEM = UTC", ""),
-        f"EPOCH = {_epoch(sample.time)}",
+        f"EPOCH = {epoch_text(sample.time)}",
         *("QUAT_START", *frames, f"Q1 = {x}", f"Q2 = {y}", f"Q3 = {z}"),
-        *(f"QC = {_number(sample.quaternion[0])}", "QUAT_STOP"),
+        *(f"QC = {number(sample.quaternion[0])}", "QUAT_STOP"),
     ]
     if sample.rate_deg_s is not None:
-        rates = (f"ANGVEL_{axis} = {_number(value)}" for axis, value in zip("XYZ", sample.rate_deg_s, strict=True))
+        rates = (f"ANGVEL_{axis} = {number(value)}" for axis, value in zip("XYZ", sample.rate_deg_s, strict=True))
         lines += ["ANGVEL_START", *frames, f"ANGVEL_FRAME = {BODY}", *rates, "ANGVEL_STOP"]
     return "\n".join(lines) + "\n"
 
 
-def _header(kind: str, history: AttitudeHistory) -> list[str]:
+def head(kind: str, history: AttitudeHistory) -> list[str]:
+    """The first lines of a message."""
     return [
         f"CCSDS_{kind}_VERS = 2.0",
-        f"CREATION_DATE = {_epoch(history.created)}",
+        f"CREATION_DATE = {epoch_text(history.created)}",
         f"ORIGINATOR = {_ORIGINATOR}",
     ]
 
@@ -64,8 +65,8 @@ def _segment(history: AttitudeHistory, segment: Segment) -> list[str]:
         f"REF_FRAME_A = {INERTIAL}",
         f"REF_FRAME_B = {BODY}",
         "TIME_SYSTEM = UTC",
-        f"START_TIME = {_epoch(segment[0].time)}",
-        f"STOP_TIME = {_epoch(segment[-1].time)}",
+        f"START_TIME = {epoch_text(segment[0].time)}",
+        f"STOP_TIME = {epoch_text(segment[-1].time)}",
         *(["ATTITUDE_TYPE = QUATERNION/ANGVEL", f"ANGVEL_FRAME = {BODY}"] if with_rates else []),
         *([] if with_rates else ["ATTITUDE_TYPE = QUATERNION"]),
         "META_STOP",
@@ -79,19 +80,21 @@ def _segment(history: AttitudeHistory, segment: Segment) -> list[str]:
 def _spreads(segment: Segment) -> list[str]:
     """AEM has no columns for uncertainty, and comments only before the rows."""
     known = [(sample.time, sample.sigma_deg) for sample in segment if sample.sigma_deg is not None]
-    rows = [" ".join([_epoch(time), *(f"{value:.6f}" for value in sigma_deg)]) for time, sigma_deg in known]
+    rows = [" ".join([epoch_text(time), *(f"{value:.6f}" for value in sigma_deg)]) for time, sigma_deg in known]
     return [f"COMMENT {line}" for line in ([_SPREADS, *rows] if rows else [])]
 
 
 def _row(sample: Sample) -> str:
     w, x, y, z = sample.quaternion
     values = (x, y, z, w, *(() if sample.rate_deg_s is None else sample.rate_deg_s))
-    return " ".join([_epoch(sample.time), *(_number(value) for value in values)])
+    return " ".join([epoch_text(sample.time), *(number(value) for value in values)])
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
+    """Of a quaternion or a rate."""
     return f"{value:.12f}"
 
 
-def _epoch(moment: datetime) -> str:
+def epoch_text(moment: datetime) -> str:
+    """UTC, as the standard writes it."""
     return moment.astimezone(UTC).isoformat(timespec="microseconds").removesuffix("+00:00")

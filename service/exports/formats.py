@@ -9,6 +9,7 @@ from datetime import datetime
 from typing import Any
 
 from service.errors import ConflictError
+from service.exports.acm import write_acm
 from service.exports.ccsds import write_aem, write_apm
 from service.exports.czml import czml_packets
 from service.exports.history import AttitudeHistory, PoseName, read_history
@@ -40,6 +41,7 @@ def _czml(history: AttitudeHistory) -> str:
 
 FORMATS: Mapping[str, ExportFormat] = {
     "aem": ExportFormat("text/plain", "aem"),
+    "acm": ExportFormat("text/plain", "acm"),
     "apm": ExportFormat("text/plain", "apm"),
     "stk": ExportFormat("text/plain", "a"),
     "czml": ExportFormat("application/json", "czml"),
@@ -48,6 +50,7 @@ FORMATS: Mapping[str, ExportFormat] = {
 }
 _ATTITUDE: Mapping[str, Callable[[AttitudeHistory], str]] = {
     "aem": write_aem,
+    "acm": write_acm,
     "apm": write_apm,
     "stk": write_stk,
     "czml": _czml,

@@ -195,9 +195,9 @@ class AsyncClient:
         return await self.call(calls.get_particles(session_id, index))
 
     async def export(
-        self, session_id: str, file_format: str = "csv", *, smoothed: bool = False, **options: str
+        self, session_id: str, file_format: str = "csv", *, smoothed: bool | None = None, **options: str
     ) -> bytes:
-        """The attitude history as ``aem``, ``apm``, ``stk``, ``czml``, ``csv`` or ``npz``; options: docs/formats.md."""
+        """The attitude history as ``aem``, ``acm``, ``apm``, ``stk``, ``czml``, ``csv``, ``npz`` (docs/formats.md)."""
         return await self.call(calls.export(session_id, file_format, smoothed, options))
 
     async def checkpoint(self, session_id: str) -> bytes:

@@ -155,10 +155,11 @@ def get_bytes(path: str, **params: Any) -> Call[bytes]:
     return Call("GET", path, _bytes, params)
 
 
-def export(session_id: str, file_format: str, smoothed: bool, options: Mapping[str, str]) -> Call[bytes]:
+def export(session_id: str, file_format: str, smoothed: bool | None, options: Mapping[str, str]) -> Call[bytes]:
     """The attitude history as a file."""
     path = f"/v1/sessions/{session_id}/export"
-    return get_bytes(path, format=file_format, smoothed="true" if smoothed else None, **options)
+    asked = None if smoothed is None else str(smoothed).lower()
+    return get_bytes(path, format=file_format, smoothed=asked, **options)
 
 
 def frame_by_key(session_id: str, key: str) -> Call[schemas.Estimate | None]:

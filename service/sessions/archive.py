@@ -130,14 +130,24 @@ class Archive:
         return {joint.name: "deg" if joint.kind == "revolute" else "units" for joint in held.joints}
 
     async def export(
-        self, session_id: SessionKey, form: str, pose: PoseName, *, name: str | None, object_id: str, smoothed: bool
+        self,
+        session_id: SessionKey,
+        form: str,
+        pose: PoseName,
+        *,
+        name: str | None,
+        object_id: str,
+        smoothed: bool | None,
     ) -> bytes:
         """The history as a file; where models are compared, the frames in which the one that now leads did.
+
+        ``smoothed`` None: only if the session has ended.
 
         Raises ``ConflictError`` for an attitude format without any attitude.
         """
         record = await self.database.read(sessions.get, session_id)
-        read = self.smoothed if smoothed else self.estimates
+        over = record.ended_at is not None if smoothed is None else smoothed
+        read = self.smoothed if over else self.estimates
         found, _ = await read(session_id, -1, EVERYTHING)
         if record.model_ids:
             found = await asyncio.to_thread(of_the_leader, found)

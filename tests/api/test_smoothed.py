@@ -91,7 +91,12 @@ async def test_a_pass_is_smoothed_although_its_particles_are_gone(make_app):
         plain = (await api.http.get(here)).json()["estimates"]
         smoothed = (await api.http.get(f"{here}?smoothed=true")).json()["estimates"]
         page = (await api.http.get(f"{here}?smoothed=true&after=2&limit=2")).json()["estimates"]
-        table = (await api.http.get(f"/v1/sessions/{session_id}/export?smoothed=true")).text
+        export = f"/v1/sessions/{session_id}/export"
+        table, as_filtered = [(await api.http.get(f"{export}{query}")).text for query in ("?smoothed=true", "")]
+        ended = f"UPDATE sessions SET ended_at = '2026-11-20T00:00:00Z' WHERE id LIKE '%{session_id}'"
+        await api.app.state.services.archive.database.write(lambda c: c.exec_driver_sql(ended) and None)
+        assert (await api.http.get(export)).text == table != as_filtered
+        assert (await api.http.get(f"{export}?smoothed=false")).text == as_filtered
     assert page == smoothed[3:5]
     told = [float(row["qw"]) for row in csv.DictReader(io.StringIO(table))]
     assert told == [e["best"]["orientation"]["w"] for e in smoothed] != [e["best"]["orientation"]["w"] for e in plain]

@@ -19,7 +19,7 @@ TOLD = (
     *("time=2026-11-20T03:04:05Z", "time=9999-12-31T23:59:59-23:59", "time=1e30", "sun=0.1,0.2,-0.9", "sun=0,0,0"),
     *("ra_deg=10&dec_deg=20", "position_angle_deg=3", "az_deg=120&el_deg=45", "el_deg=91", "sun=1e308,1e308,1e308"),
 )
-EXPORTS = ("aem", "apm", "stk", "czml", "csv", "npz")
+EXPORTS = ("aem", "acm", "apm", "stk", "czml", "csv", "npz")
 
 
 @dataclass

@@ -24,7 +24,7 @@ from tests.fuzz.mutate import forge
 CONFIG = {"filter": {"particles": 60}}
 GIVEN = box_pass(5, size=32)
 CUBE = trimesh.creation.box((1.0, 1.0, 1.0)).export(file_type="stl")
-EXPORTS = ("aem", "apm", "stk", "czml", "csv", "npz")
+EXPORTS = ("aem", "acm", "apm", "stk", "czml", "csv", "npz")
 
 
 @dataclass

@@ -77,7 +77,7 @@ def test_every_format_is_written(name):
         assert "OBJECT_ID = UNKNOWN" in body.decode()
 
 
-@pytest.mark.parametrize("name", ["aem", "apm", "stk", "czml"])
+@pytest.mark.parametrize("name", ["aem", "acm", "apm", "stk", "czml"])
 def test_without_any_attitude_attitude_formats_are_refused(name):
     with pytest.raises(ConflictError):
         export(name, [estimate(0, known=False)], "best", SUBJECT)
