@@ -83,12 +83,8 @@ class Orbit:
 
     def seen_from(self, site: Site, moment: datetime) -> Sighting:
         """The satellite at an aware ``moment``. Raises ``InputError`` where SGP4 has no answer."""
-        unix_days = (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() / _DAY_S
-        problem, teme_km, _ = self._satellite.sgp4(_JD_EPOCH, unix_days)
-        if problem:
-            raise InputError(f"the orbit has no place at this time: {_reason(problem)}", field="query:time")
         earth = earth_orientation(moment)
-        fixed = _greenwich(unix_days + earth.ut1_utc_s / _DAY_S) @ np.array(teme_km)
+        fixed = self.fixed_km(moment, earth)
         offset = fixed - _site_km(site)
         east, north, up = zenith_frame(site.latitude_deg, site.longitude_deg).T @ offset
         distance = float(np.linalg.norm(offset))
@@ -101,6 +97,15 @@ class Orbit:
             earth=earth,
             place_km=(x, y, z),
         )
+
+    def fixed_km(self, moment: datetime, earth: EarthOrientation | None = None) -> Array:
+        """(3,) from the Earth's centre in Earth-fixed axes. Raises ``InputError`` where SGP4 has no answer."""
+        unix_days = (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() / _DAY_S
+        problem, teme_km, _ = self._satellite.sgp4(_JD_EPOCH, unix_days)
+        if problem:
+            raise InputError(f"the orbit has no place at this time: {_reason(problem)}", field="query:time")
+        ut1_utc_s = (earth or earth_orientation(moment)).ut1_utc_s
+        return np.asarray(_greenwich(unix_days + ut1_utc_s / _DAY_S) @ np.array(teme_km))
 
 
 def _reason(problem: int) -> str:

@@ -1,7 +1,8 @@
 """CZML (Cesium): ``orientation.unitQuaternion``, body axes to Earth-fixed axes, elements X, Y, Z, W.
 
-CZML orients bodies in Earth-fixed axes only, so GCRF is turned into ITRF at each sample's time. The packet holds no
-position: it is to be merged, by its ``id``, with one that has.
+CZML orients bodies in Earth-fixed axes only, so GCRF is turned into ITRF at each sample's time. Where the orbit is
+known the packet has the position too, as a point with its name; else it is to be merged, by its ``id``, with one that
+has.
 """
 
 from __future__ import annotations
@@ -13,7 +14,11 @@ import numpy as np
 
 from service.attitude.absolute import absolute_quaternion
 from service.attitude.earth import gcrf_to_itrf
+from service.attitude.orbit import Orbit
 from service.exports.history import AttitudeHistory, Segment
+
+_DEGREE = 5  # of the interpolation between positions: an orbit's arc of a second to a millimetre
+_BESIDE = {"cartesian2": [0, -20]}
 
 
 def czml_packets(history: AttitudeHistory) -> list[dict[str, Any]]:
@@ -27,8 +32,24 @@ def czml_packets(history: AttitudeHistory) -> list[dict[str, Any]]:
             "name": history.name,
             "availability": [_interval(segment) for segment in history.segments],
             "orientation": [_orientation(segment) for segment in history.segments],
+            **({} if history.orbit is None else _place(history, history.orbit)),
         },
     ]
+
+
+def _place(history: AttitudeHistory, orbit: Orbit) -> dict[str, Any]:
+    """Metres in Earth-fixed axes, at the samples' times."""
+    moments = [sample.time for segment in history.segments for sample in segment]
+    values: list[float] = []
+    for moment in moments:
+        values += [(moment - moments[0]).total_seconds(), *(1e3 * orbit.fixed_km(moment)).tolist()]
+    position = {
+        "epoch": _text(moments[0]),
+        "interpolationAlgorithm": "LAGRANGE",
+        "interpolationDegree": min(_DEGREE, max(len(moments) - 1, 1)),
+        "cartesian": values if len(moments) > 1 else values[1:],
+    }
+    return {"position": position, "point": {"pixelSize": 8}, "label": {"text": history.name, "pixelOffset": _BESIDE}}
 
 
 def _orientation(segment: Segment) -> dict[str, Any]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
+from service.attitude.orbit import Orbit
 from service.errors import ConflictError
 from service.exports.acm import write_acm
 from service.exports.ccsds import write_aem, write_apm
@@ -25,6 +26,7 @@ class Subject:
     object_id: str
     joints: Mapping[str, str]  # name of each estimated joint -> its unit: deg, or units of the model
     created: datetime
+    orbit: str | None = None  # elements, where they were told
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ def export(name: str, estimates: Sequence[Mapping[str, Any]], pose: PoseName, su
             "el_deg, or a FITS header that has them) and the rotation of the camera",
             field="query:format",
         )
+    history = replace(history, orbit=None if subject.orbit is None else Orbit(subject.orbit))
     return _ATTITUDE[name](history).encode()
 
 

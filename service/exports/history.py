@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from service.attitude.orbit import Orbit
 from service.inference.state import Array
 
 PoseName = Literal["best", "mean"]
@@ -42,6 +43,7 @@ class AttitudeHistory:
     object_id: str
     created: datetime
     segments: tuple[Segment, ...]
+    orbit: Orbit | None = None
 
 
 def read_history(

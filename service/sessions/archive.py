@@ -152,7 +152,8 @@ class Archive:
         if record.model_ids:
             found = await asyncio.to_thread(of_the_leader, found)
         joints = await self.joint_units(session_id, record.next_index - 1 if found else None)
-        subject = Subject(name or record.name or public_id(session_id), object_id, joints, datetime.now(UTC))
+        called, orbit = name or record.name or public_id(session_id), record.config["prior"].get("orbit")
+        subject = Subject(called, object_id, joints, datetime.now(UTC), orbit)
         return await asyncio.to_thread(_export, form, found, pose, subject)
 
     async def require_key(self, session_id: SessionKey, key: str) -> None:
