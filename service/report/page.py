@@ -17,6 +17,7 @@ from service.report.sentences import attitude_sentence, told_probability, turnin
 
 Document = Mapping[str, Any]
 _MOST_STILLS = 6
+_MOST_POINTS = 1000  # of a curve: it is 660 px wide
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def report_html(facts: Facts) -> bytes:
         statuses=Counter(estimate["status"] for estimate in estimates),
         film=film(facts.shots, facts.span_px),
         stills=stills(chosen, facts.span_px),
-        charts=charts(estimates),
+        charts=charts([estimates[k] for k in evenly(len(estimates), _MOST_POINTS)]),
         places=[estimates[k] for k in evenly(len(estimates), 5)],
         warnings=_said(facts),
         settings=json.dumps(_settings(facts.session), indent=1, ensure_ascii=False),
