@@ -35,6 +35,7 @@ _HEAVY = (
     "/particles",
     "/estimates",
     "/export",
+    "/report",
     "/checkpoint",
     "/mesh.glb",
 )
