@@ -212,7 +212,7 @@ class Settings(BaseSettings):
     max_calls: Positive = 1024
     """Calls under way at once, streams and heavy reads apart; one more is answered 503."""
     max_heavy_reads: Positive = 32
-    """Pictures, meshes, particles, estimates, exports, reports and checkpoints read at once; one more is answered 503."""
+    """Pictures, meshes, particles, estimates, exports, reports, checkpoints read at once; one more is answered 503."""
     max_batches: Positive = 4
     """Files of several frames being tracked at once; one more is answered 503."""
     body_timeout_s: PositiveSeconds = 30.0

@@ -29,6 +29,7 @@ from service.workers.base import MotionJob
 from service.workers.engine import Engine
 
 KEPT = 32  # answers of some kilobytes
+_Stand = tuple[str, int, int]  # a session as it was at some frame
 _UNSEEN = ("no_target", "no_fit", "lost")  # frames that say nothing of the object's rotation
 
 
@@ -48,16 +49,26 @@ class PassMotions:
     def __init__(self, database: Database, engine: Engine) -> None:
         self._database = database
         self._engine = engine
-        self._kept: OrderedDict[tuple[str, int, int], bytes] = OrderedDict()
+        self._kept: OrderedDict[_Stand, bytes] = OrderedDict()
+        self._under_way: dict[_Stand, asyncio.Task[bytes]] = {}
 
     async def of(self, session_id: SessionKey) -> bytes:
         """The motion as JSON. Raises ``NotFoundError``, and ``ConflictError`` for too few frames."""
         record = await self._database.read(sessions.get, session_id)
         key = (record.id, record.number, record.next_index)
         if key not in self._kept:
-            self._kept[key] = await self._found(record)
+            if key not in self._under_way:  # who asks meanwhile waits for the same
+                task = self._under_way[key] = asyncio.create_task(self._find(key, record))
+                task.add_done_callback(lambda one: one.cancelled() or one.exception())  # should nobody wait any more
+            return await asyncio.shield(self._under_way[key])
         self._kept.move_to_end(key)
-        answer = self._kept[key]
+        return self._kept[key]
+
+    async def _find(self, key: _Stand, record: SessionRecord) -> bytes:
+        try:
+            answer = self._kept[key] = await self._found(record)
+        finally:
+            del self._under_way[key]
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
         return answer

@@ -1,5 +1,6 @@
 """`GET …/motion`: how the object of a session turned, from what the frames said."""
 
+import asyncio
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import ClassVar
@@ -63,9 +64,10 @@ async def test_the_rate_of_a_pass_in_body_and_gcrf(make_app):
             await api.post(session_id, n, time=f"2026-11-20T03:04:{5 + n / 2:09.6f}Z", **CAMERA)
         assert refused.status_code == 409
         assert refused.json()["needed"] == 3
-        found = (await api.http.get(here)).json()
-        assert (await api.http.get(here)).json() == found
-        assert len(Turning.jobs) == 2  # the refused one, and one for both answers
+        first, second = await asyncio.gather(api.http.get(here), api.http.get(here))
+        found = first.json()
+        assert second.json() == (await api.http.get(here)).json() == found
+        assert len(Turning.jobs) == 2  # the refused one, and one for all three answers
         async with AsyncClient("http://127.0.0.1", transport=api.http._transport) as client:
             assert (await client.motion(session_id)).model_dump(mode="json") == found
     assert (found["model"], found["relative_to"], found["inertia"]) == ("constant_rate", "GCRF", None)
