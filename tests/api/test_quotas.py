@@ -126,7 +126,7 @@ async def test_slow_sender_and_slow_reader_are_let_go(make_app):
         assert b"408" in await reader.readline()
         await reader.readuntil(b"urn:skypose:problem:slow-body")
         writer.close()
-        app.state.services.archive.picture = large_picture
+        app.state.services.archive.pictures = large_pictures
         picture = f"/v1/sessions/{session_id}/estimates/0/frame.png"
         reader, writer = await asyncio.open_connection(*address.split(":"), limit=1024)
         writer.write(f"GET {picture} HTTP/1.1\r\nHost: {address}\r\n\r\n".encode())
@@ -141,8 +141,8 @@ async def test_slow_sender_and_slow_reader_are_let_go(make_app):
 LARGE = 1 << 26
 
 
-async def large_picture(*_, **__) -> bytes:
-    return bytes(LARGE)
+async def large_pictures(*_, **__) -> tuple[bytes, ...]:
+    return (bytes(LARGE),)
 
 
 async def test_files_of_several_frames_take_turns(make_app):

@@ -128,7 +128,7 @@ async def snapshot(owned: Owned) -> dict[str, bytes]:
         if method == "get" and path != ENDLESS and path not in READS_THAT_CHANGE | PUBLIC:
             answer = await call(owned.api, method, path, owned.ids, b"")
             assert answer.status_code in (200, 409), (path, answer.text)  # 409: no FITS, no attitude
-            found[path] = answer.content
+            found[path] = re.sub(rb"[^>]*( by skypose)", rb"\1", answer.content)  # when a report was made
     keys = json.loads((await owned.api.http.get("/v1/keys")).content)["keys"]
     found["keys"] = [(key["id"], key["revoked_at"]) for key in keys]
     assert len(found) > 12
