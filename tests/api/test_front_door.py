@@ -213,7 +213,7 @@ async def test_who_takes_nothing_is_cut(make_app, monkeypatch):
     """Also where the answer stays in the connection's own buffer, which closing would wait for."""
     monkeypatch.setattr(door, "LINGER_S", 0.0)
     app = make_app(stream_send_timeout_s=0.1)
-    app.state.services.archive.picture = large_picture
+    app.state.services.archive.pictures = large_pictures
     async with served(app) as address, httpx.AsyncClient(base_url=f"http://{address}") as http:
         session_id = await Api(http).ready_session()
         await Api(http).post(session_id, 1)
@@ -224,8 +224,8 @@ async def test_who_takes_nothing_is_cut(make_app, monkeypatch):
                 await asyncio.sleep(0)
 
 
-async def large_picture(*_, **__) -> bytes:
-    return bytes(1 << 26)
+async def large_pictures(*_, **__) -> tuple[bytes, ...]:
+    return (bytes(1 << 26),)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's queue is told by Linux only")
