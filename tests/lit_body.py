@@ -12,7 +12,7 @@ from gpu.shaded import open_shaded
 from gpu.surface_groups import surface_groups
 from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.model.drawing import Drawing, Quality, View
-from service.inference.model.likelihood import Scene
+from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread, spread
 from service.inference.pose import exp_so3
 from service.inference.state import Poses

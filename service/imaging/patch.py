@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -129,13 +130,9 @@ def _own_level(above: Map, sigma: float) -> Map:
     Guessed from the border, where the object seldom is, then fitted to all that looks like such a sky. Where most of
     the border does not, it is no plane that has changed, and nothing is taken away.
     """
-    height, width = above.shape
-    every = max(1, int(np.sqrt(height * width / _LEVEL_PIXELS)))  # a sample tells the level well enough
-    across, down = (np.linspace(-1, 1, size, dtype=np.float32) for size in (width, height))
+    every = max(1, int(np.sqrt(above.size / _LEVEL_PIXELS)))  # a sample tells the level well enough
+    across, down, terms, edge = _plane_of(above.shape, every)
     some = above[::every, ::every]
-    x, y = np.meshgrid(across[::every], down[::every])
-    terms = np.stack([np.ones_like(x), x, y])
-    edge = np.maximum(np.abs(x), np.abs(y)) > 1 - _LEVEL_BORDER
     plane = fitted(some, terms, edge)[0]
     for _ in range(_LEVEL_ROUNDS):
         sky = np.abs(some - np.tensordot(plane, terms, 1)) < _LEVEL_SIGMAS * sigma
@@ -145,6 +142,15 @@ def _own_level(above: Map, sigma: float) -> Map:
         plane = np.asarray(np.linalg.lstsq(columns @ columns.T, columns @ some[sky], rcond=None)[0], np.float64)
     level, right, below = plane.astype(np.float32)
     return np.asarray((level + right * across) + (below * down)[:, None], np.float32)
+
+
+@lru_cache(maxsize=16)
+def _plane_of(shape: tuple[int, ...], every: int) -> tuple[Map, Map, Map, NDArray[np.bool_]]:
+    """Places across and down an image, -1 to 1; of each so many: level and slopes (3, h, w), and the border (h, w)."""
+    across, down = (np.linspace(-1, 1, size, dtype=np.float32) for size in shape[::-1])
+    x, y = np.meshgrid(across[::every], down[::every])
+    edge = np.maximum(np.abs(x), np.abs(y)) > 1 - _LEVEL_BORDER
+    return across, down, np.stack([np.ones_like(x), x, y]), edge
 
 
 def _photon_transfer(above: Map, sigma: float) -> float:
@@ -160,11 +166,11 @@ def _photon_transfer(above: Map, sigma: float) -> float:
     if np.count_nonzero(bright) < _LEAST_BRIGHT_PX:
         return least
     square, light = fine[bright] ** 2, local[bright]
-    slopes = np.geomspace(least, sigma, 40)
+    slopes, quarter = np.geomspace(least, sigma, 40), len(light) // 4
 
     def above_quartile(k: int) -> float:
         """Falls as slopes rise."""
-        return float(np.quantile(square / (sigma**2 + slopes[k] * light), 0.25)) - 0.1015
+        return float(np.partition(square / (sigma**2 + slopes[k] * light), quarter)[quarter]) - 0.1015
 
     k = bisect_left(range(len(slopes)), 0.0, key=lambda k: -above_quartile(k))
     near = range(max(k - 1, 0), min(k + 1, len(slopes)))

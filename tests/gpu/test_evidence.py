@@ -8,7 +8,8 @@ import pytest
 
 from gpu.device import find_devices
 from gpu.evidence import LightEvidence, open_evidence
-from service.inference.model.likelihood import ROUNDS, Fit, Scene, fit_light, terms_of
+from service.inference.model.likelihood import ROUNDS, Fit, fit_light, terms_of
+from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread, spread
 
 KINDS = sorted({report.kind for report in find_devices() if report.rejected is None})

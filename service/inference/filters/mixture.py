@@ -90,7 +90,7 @@ def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
 
 def propose(rng: np.random.Generator, before: Mixture | None, given: Given) -> Found | None:
     """What a search of the whole space finds; None where none is due."""
-    if given.frame.sight is None or not search_due(before):
+    if not search_due(before) or given.frame.sight is None:
         return None
 
     def alike(poses: Poses) -> Poses:

@@ -54,8 +54,7 @@ def weigh(
     level: float | None = None  # weight of evidence in this frame alone
     afresh = -np.inf  # the leader's evidence, were its paint unknown
     if lead is not None:
-        planes = planes_of(lead.one, hill)
-        afresh = float(hill.log_evidences(planes)[0])
+        afresh = float(hill.log_evidences(lead.one.fit.planes[None])[0])
         alone = lead.alone + afresh - lead.one.fit.log_evidence
         level = lead.log_weight - prior.EVIDENCE_TRUST * alone
     new = newborn(refined, found)
@@ -63,7 +62,8 @@ def weigh(
     lead_number = int(np.argmax([mode.log_weight for mode in modes]))
     best = modes[lead_number]
     if best is not lead:
-        planes, afresh = planes_of(best.one, hill), best.one.fit.log_evidence
+        afresh = best.one.fit.log_evidence
+    planes = best.one.fit.planes[None]
     light = existence.log_light(hill, best.one.fit)
     known = existence.usual_chi2() if before is None else before.log_chi2
     explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance)
@@ -148,11 +148,6 @@ def newborn(refined: list[Refined], found: Found | None) -> list[Refined]:
     if found is None:
         return []
     return [one for one in found.basins[:MOST_MODES] if not any(same_mode(one, other) for other in refined)]
-
-
-def planes_of(one: Refined, hill: Hill) -> Images:
-    """(1, Q, S, S) pictures of a mode."""
-    return hill.drawing.planes(one.pose, one.sun, hill.view, hill.quality)
 
 
 def same_mode(one: Refined, other: Refined) -> bool:

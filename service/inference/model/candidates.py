@@ -15,6 +15,7 @@ from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate
 from service.inference.state import Array, Poses
 
+HOPELESS = 100.0  # nats behind the best after two of the later stages' steps: none comes back from there
 SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
 
 
@@ -37,10 +38,10 @@ def scored(hill: Hill, some: Candidates) -> Candidates:
     return Candidates(some.poses, some.suns, found)[np.argsort(-found)]
 
 
-def climbed(hill: Hill, some: Candidates, stage: Stage) -> Candidates:
+def climbed(hill: Hill, some: Candidates, stage: Stage, hopeless: float = np.inf) -> Candidates:
     """The best basins after a few steps of Gauss-Newton, best first."""
     some = best_of(some, stage.kept, SHARED_DEG)
-    out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance="none")
+    out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance="none", hopeless=hopeless)
     moved = Candidates(
         concatenate(*[one.pose for one in out]),
         np.stack([one.sun for one in out]),

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.special import betaln
 
 from service.inference.model import prior
-from service.inference.model.likelihood import Fit, Images
+from service.inference.model.likelihood import Fit
+from service.inference.model.scene import Images
 from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Goodness
 
@@ -34,7 +33,7 @@ def log_unlike(hill: Hill, planes: Images) -> float:
 
     ``planes`` (1, Q, S, S) of the best mode; other light is left out, so it is a least.
     """
-    return float(hill.log_evidences(planes, replace(hill.scene, discrepancy=prior.UNLIKE))[0])
+    return float(hill.log_evidences(planes, hill.scene.under(discrepancy=prior.UNLIKE))[0])
 
 
 def log_light(hill: Hill, fit: Fit) -> float:

@@ -5,94 +5,22 @@ The readable twin of ``gpu/kernels/evidence.cl``; NumPy, one pose at a time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from math import lgamma, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model import prior
-from service.inference.model.spread import PointSpread, deviations, gradient, spread
+from service.inference.model.scene import Images, Scene, shift_bumps, sky_slopes
+from service.inference.model.spread import deviations, gradient, spread
 from service.inference.state import Array
 
-Images = NDArray[np.float32]
 _NU = prior.DEGREES_OF_FREEDOM
 _T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)
 ROUNDS = 6  # of reweighting: a tolerance, the evidence moves by less than 0.1 nats after it
 LEAST_LIT = 1e-4  # of the Sun full on: a plane that shows less is left out
-_FULL_SHARE = 0.05  # of a pixel's light that comes from censored ones: it is censored too
 _LONGEST_STEP = 1.5  # of a log albedo in one round
-
-
-@dataclass(frozen=True)
-class Scene:
-    """One patch as the likelihood sees it: what is fixed before poses are compared."""
-
-    image: Images  # (S, S) light above the sky, counts
-    sigma: float  # noise of one pixel of empty sky, counts
-    photon: float  # variance per count
-    hidden: float  # light of the sky that a body can hide at the most, counts
-    censored: NDArray[np.bool_]  # (S, S)
-    point_spread: PointSpread
-    discrepancy: float = prior.DISCREPANCY  # tau
-    shifts: bool = True  # whether speckle and image shifts are unknowns: not worth their time in a coarse look
-    low_pass: float = 0.0  # l, px; 0: as the point spread asks
-    grain: float = 1.0  # px in which lengths of the discrepancy are told: a patch may be coarser where all is blurred
-    light: prior.LightPrior = field(default_factory=prior.LightPrior)
-
-    @property
-    def side(self) -> int:
-        """S."""
-        return len(self.image)
-
-    @cached_property
-    def smoothing(self) -> float:
-        """l, px."""
-        return self.low_pass or prior.LOW_PASS_SHARE * self.point_spread.width
-
-    @cached_property
-    def data(self) -> Images:
-        """(S, S) the frame after its low pass."""
-        return np.asarray(spread(self.image[None], PointSpread(0.0), self.smoothing)[0], np.float32)
-
-    @cached_property
-    def area(self) -> float:
-        """A: pixels that count as one."""
-        taps = np.exp(-0.5 * (np.arange(-64, 65) / max(self.smoothing, 1e-3)) ** 2)
-        taps /= taps.sum()
-        return float(1.0 / np.sum(taps**2) ** 2)
-
-    @cached_property
-    def alike(self) -> float:
-        """c: pixels' areas over which the discrepancy is alike."""
-        return max(prior.DISCREPANCY_LEAST, (self.grain * prior.DISCREPANCY_LENGTH) ** 2 / self.area)
-
-    @cached_property
-    def full(self) -> NDArray[np.bool_]:
-        """(S, S) pixels of which only a least value is known."""
-        share = spread(self.censored.astype(np.float32)[None], PointSpread(0.0), self.smoothing)[0]
-        return np.asarray(share > _FULL_SHARE)
-
-    @cached_property
-    def gain(self) -> float:
-        """Log gain to start from: that of the brighter light in the frame."""
-        return log(max(float(np.quantile(self.data, 0.99)), 3 * self.sigma))
-
-    @cached_property
-    def slopes(self) -> Images:
-        """(3, S, S) level and two slopes across the patch."""
-        axis = np.linspace(-1, 1, self.side, dtype=np.float32)
-        across, down = np.meshgrid(axis, axis)
-        return np.stack([np.ones_like(across), across, down])
-
-    @cached_property
-    def bumps(self) -> Images:
-        """(9, S, S) smooth bumps a third of the body apart: where the air shifts the image alike."""
-        middle = np.array([0.25, 0.5, 0.75]) * self.side
-        at = np.arange(self.side) + 0.5
-        line = np.exp(-0.5 * ((at[None] - middle[:, None]) / (0.2 * self.side)) ** 2)
-        return np.asarray(np.einsum("ai,bj->abij", line, line).reshape(9, self.side, self.side), np.float32)
 
 
 @dataclass(frozen=True)
@@ -143,8 +71,8 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
         precision=(1.0 / np.array(sigmas) ** 2).astype(np.float32),
         data=scene.data,
         full=scene.full,
-        slopes=scene.slopes,
-        bumps=scene.bumps,
+        slopes=sky_slopes(scene.side),
+        bumps=shift_bumps(scene.side),
         gaussians=scene.point_spread.gaussians(scene.smoothing),
         noise=scene.sigma**2,
         photon=scene.photon,
@@ -163,6 +91,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
 class Fit:
     """A pose's light at its best: ``gpu.evidence.Details`` and what goes with them."""
 
+    planes: Images  # (Q, S, S) as drawn: groups, even light, gloss
     log_evidence: float
     chi2: float  # mean square of residual over its scale, on the body
     coefficients: Images  # (Q,) of the drawing's planes: what ``combined`` draws the same light with
@@ -203,7 +132,7 @@ def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS)
     coefficients[positive] = gain * np.exp(terms.offset + terms.mean[: len(positive)])
     coefficients[positive[lit]] = gain * np.exp(terms.offset[lit] + unknowns.value[: len(lit)])
     coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
-    return replace(fit, coefficients=coefficients, lit=lit)
+    return replace(fit, planes=planes, coefficients=coefficients, lit=lit)
 
 
 class _Unknowns:
@@ -290,4 +219,4 @@ class _Unknowns:
         maps = residual, weight, model, light, columns
         pull = flat @ (weight * residual).ravel().astype(np.float64) - self._precision * deviation
         curvature = normal + np.diag(self._precision)
-        return Fit(evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull, unlit)
+        return Fit(nothing, evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull, unlit)

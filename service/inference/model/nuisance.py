@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.inference.model import prior
-from service.inference.model.likelihood import Images
+from service.inference.model.scene import Images
 from service.inference.model.spread import PointSpread
 from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Poses
@@ -41,7 +41,7 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
 
     def value(core: int, wings: int) -> float:
         spread = PointSpread(_CORES[core] / scale, _WINGS[wings] / scale)
-        scene = replace(hill.scene, point_spread=spread, low_pass=hill.scene.smoothing)
+        scene = hill.scene.under(point_spread=spread)
         return float(np.max(hill.log_evidences(planes, scene))) + _log_prior(_CORES[core], _WINGS[wings])
 
     here = (
@@ -66,7 +66,7 @@ def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> 
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
     values = []
     for tau in _DISCREPANCIES:
-        found = hill.log_evidences(planes, replace(hill.scene, discrepancy=tau))
+        found = hill.log_evidences(planes, hill.scene.under(discrepancy=tau))
         deviation = np.log(tau / prior.DISCREPANCY) / prior.DISCREPANCY_LOG_SIGMA
         values.append(float(np.max(found)) - 0.5 * deviation**2)
     return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
@@ -86,12 +86,7 @@ def nudged(
         other = replace(now, wings=_neighbour(_WINGS, now.wings, turn))
     else:
         other = replace(now, core=_neighbour(_CORES, now.core, turn))
-    scene = replace(
-        hill.scene,
-        point_spread=other.point_spread(hill.view.binning),
-        discrepancy=other.discrepancy,
-        low_pass=hill.scene.smoothing,
-    )
+    scene = hill.scene.under(point_spread=other.point_spread(hill.view.binning), discrepancy=other.discrepancy)
     found = hill.log_evidences(planes, scene, paint)
     return other if float(found[0]) + log_prior(other) > log_evidence + log_prior(now) else now
 

@@ -8,7 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.inference.model import bank as banks
-from service.inference.model.candidates import SHARED_DEG, Candidates, best_of, climbed, distinct, joined, scored
+from service.inference.model.candidates import (
+    HOPELESS,
+    SHARED_DEG,
+    Candidates,
+    best_of,
+    climbed,
+    distinct,
+    joined,
+    scored,
+)
 from service.inference.model.drawing import Drawing
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
 from service.inference.model.stages import (
@@ -37,7 +46,7 @@ _SHAKEN, _SHAKEN_RAD, _ALONG_RAD = 24, 0.12, 0.2  # poses around the best, how f
 _ABOUT, _ALONG, _SHAKEN_KEPT = 2, 5, 2  # of either kind, how many are tried; how many of all climb to the end
 _BETTER = 1.0  # nats: what a basin may be bettered by without another look
 _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06  # about half a step of the bank's, each axis
-_TRIAL_STEPS, _HOPELESS = 2, 100.0  # of the finest stage; nats behind the best after them: none comes back from there
+_TRIAL_STEPS = 2  # of the finest stage, of what is shaken
 _MIRRORED = 3  # of the best, whose symmetry-equivalents are looked at
 _WIDER = 1.3  # so much more must a wider sight span
 _LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
@@ -140,7 +149,7 @@ def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, tol
     hill = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
     some = scored(hill, some)
     nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
-    some = climbed(stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True), some, CLEAR)
+    some = climbed(stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True), some, CLEAR, HOPELESS)
     hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
     some = scored(hill, some)
     nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
@@ -148,12 +157,9 @@ def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, tol
     some = some[np.arange(min(FINEST.kept, len(some.found)))]
     nuisance = best_discrepancy(hill, some.poses[:1], some.suns[:1], nuisance)
     hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
-    out = ascend(hill, some.poses, some.suns, steps=_TRIAL_STEPS, covariance="none")
-    top = max(one.log_posterior for one in out)
-    out = [one for one in out if one.log_posterior > top - _HOPELESS]
-    poses, suns = concatenate(*[one.pose for one in out]), np.stack([one.sun for one in out])
-    out = ascend(hill, poses, suns, steps=FINEST.steps - _TRIAL_STEPS, covariance="last")
+    out = ascend(hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
     out.sort(key=lambda one: -one.log_posterior)
+    out = [one for one in out if one.log_posterior > out[0].log_posterior - HOPELESS]
     out += shaken(hill, out[0])
     out.sort(key=lambda one: -one.log_posterior)
     kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(_SAME_DEG))

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model.drawing import FINE, Drawing, Quality, View
-from service.inference.model.likelihood import Scene
 from service.inference.model.nuisance import Nuisance
+from service.inference.model.scene import Scene
 from service.inference.numerics.hill import Hill, Trust
 from service.inference.numerics.priors import PosePrior
 

@@ -5,17 +5,17 @@ Many poses climb at once: each round draws all that their derivatives need in on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.inference.model.derivatives import across, derivatives
+from service.inference.model.derivatives import across
 from service.inference.model.drawing import Drawing
-from service.inference.model.likelihood import Fit, Images, terms_of
+from service.inference.model.likelihood import Fit, terms_of
 from service.inference.model.paint import painted
-from service.inference.model.prior import CHI2_DEGREES_OF_FREEDOM, POSE_DEGREES_OF_FREEDOM
+from service.inference.model.scene import Images
+from service.inference.numerics.curvature import slopes_of, systems_of
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
@@ -23,6 +23,7 @@ from service.inference.state import Array, Poses
 
 ENOUGH = 0.1  # nats: a step that gains less is the last
 _ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
+_TRIAL_STEPS = 2  # that any pose may take
 _SHORTER = 0.3  # of a step that did not climb
 _DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull", "lit")
 
@@ -36,73 +37,95 @@ def ascend(
     covariance: Literal["exact", "last", "none"] = "exact",
     believed: Believed | None = None,
     enough: float | Array = ENOUGH,
+    hopeless: float = np.inf,
 ) -> list[Refined]:
     """Climb from N poses, each with its Sun (N, 3), ``steps`` at the most. In the order given.
 
     ``enough``: nats, (N,) if each its own: the last step is the one that gains less, or to so much what the slopes at
     its start promise of the top.
-    ``covariance``: at the end, at the place of the last step's start (which is cheaper), or none.
+    ``hopeless``: nats; after two steps those go no further that are so much behind the best.
+    ``covariance``: at the end, at the last place whose slopes are known (which is cheaper), or none.
     """
-    suns, d = suns.copy(), 6 + poses.joints.shape[1]
-    fits, scores = _look(hill, poses, suns, believed, np.arange(len(poses)))
-    curvatures: list[Array] = [np.full((d, d), np.nan)] * len(poses)
-    going = np.ones(len(poses), dtype=bool)
-    least = np.broadcast_to(enough, len(poses))
-    slopes: dict[np.intp, Images] = {}
-    shifted = np.zeros(len(poses))  # patch px by which a rim moved since its slopes were drawn
-    for _ in range(steps):
-        at = np.flatnonzero(going)
+    climb = _Climb(hill, poses, suns, believed, np.broadcast_to(enough, len(poses)))
+    for k in range(steps):
+        climb.step()
+        if k + 1 >= _TRIAL_STEPS:
+            climb.leave(hopeless)
+    return climb.refined(covariance)
+
+
+class _Climb:
+    """N poses on their way up one hill."""
+
+    def __init__(self, hill: Hill, poses: Poses, suns: Array, believed: Believed | None, enough: Array) -> None:
+        n, d = len(poses), 6 + poses.joints.shape[1]
+        self._hill, self._believed, self._enough = hill, believed, enough
+        self._poses, self._suns = poses, suns.copy()
+        self._fits, self._scores = _look(hill, poses, self._suns, believed, np.arange(n))
+        self._curvatures: list[Array] = [np.full((d, d), np.nan)] * n
+        self._going = np.ones(n, dtype=bool)
+        self._slopes: dict[np.intp, Images] = {}
+        self._shifted = np.zeros(n)  # patch px by which a rim moved since its slopes were drawn
+
+    def step(self) -> None:
+        """One step of all that are still on their way."""
+        at = np.flatnonzero(self._going)
         if not len(at):
-            break
-        _renew(slopes, shifted, hill, at, poses, suns, fits)
-        systems = _systems(hill, poses[at], suns[at], [fits[k] for k in at], [slopes[k] for k in at], believed, at)
-        for k, (_, _, curvature) in zip(at, systems, strict=True):
-            curvatures[k] = curvature
-        damping = _damping(hill, poses[at])
-        moves = np.array([np.linalg.solve(c + np.diag(d), p) for (c, p, _), d in zip(systems, damping, strict=True)])
-        before = scores[at].copy()
-        for share in (1.0, _SHORTER):
-            left = at[scores[at] <= before] if share < 1 else at
-            if not len(left):
-                break
-            chosen = np.searchsorted(at, left)
-            trial, trial_suns = _moved(poses[left], suns[left], share * moves[chosen], hill)
-            trial_fits, trial_scores = _look(hill, trial, trial_suns, believed, left)
-            better = np.flatnonzero(trial_scores > scores[left])
-            poses = _replaced(poses, left[better], trial[better])
-            suns[left[better]] = trial_suns[better]
-            scores[left[better]] = trial_scores[better]
-            shifted[left[better]] += _rim_shift(hill, poses[left[better]], share * moves[chosen[better]])
-            for k in better:
-                fits[left[k]] = trial_fits[k]
-        gained = scores[at] - before
+            return
+        systems = self._systems(at)
         promised = np.array([0.5 * p @ np.linalg.solve(c, p) for c, p, _ in systems])
-        going[at] = np.minimum(gained, np.abs(promised - gained)) > least[at]
-    if covariance == "exact":
-        last = list(_slopes(hill, poses, suns, fits))
-        curvatures = [c for _, _, c in _systems(hill, poses, suns, fits, last, believed, np.arange(len(poses)))]
-    whole = [c if covariance == "none" else _inverse(c) for c in curvatures]
-    sun_sigmas = [_sun_sigma(hill, spread, d) for spread in whole]
-    return [
-        Refined(poses[k : k + 1], suns[k], sun_sigmas[k], fits[k], float(scores[k]), whole[k][:d, :d])
-        for k in range(len(poses))
-    ]
+        damping = _damping(self._hill, self._poses[at])
+        moves = np.array([np.linalg.solve(c + np.diag(d), p) for (c, p, _), d in zip(systems, damping, strict=True)])
+        before = self._scores[at].copy()
+        self._try(at, moves)
+        short = (self._scores[at] <= before) & (promised > self._enough[at])
+        if short.any():
+            self._try(at[short], _SHORTER * moves[short])
+        gained = self._scores[at] - before
+        self._going[at] = np.minimum(gained, np.abs(promised - gained)) > self._enough[at]
 
+    def leave(self, behind: float) -> None:
+        """Those that are so many nats behind the best."""
+        self._going &= self._scores > self._scores.max() - behind
 
-def _renew(
-    slopes: dict[np.intp, Images],
-    shifted: Array,
-    hill: Hill,
-    at: NDArray[np.intp],
-    poses: Poses,
-    suns: Array,
-    fits: list[Fit],
-) -> None:
-    """Slopes of those that moved further since theirs were drawn than the differences that they are made of."""
-    old = at[[k not in slopes or shifted[k] > hill.difference for k in at]]
-    if len(old):
-        slopes.update(zip(old, _slopes(hill, poses[old], suns[old], [fits[k] for k in old]), strict=True))
-        shifted[old] = 0.0
+    def refined(self, covariance: Literal["exact", "last", "none"]) -> list[Refined]:
+        """Where all of them are."""
+        hill, d, everybody = self._hill, 6 + self._poses.joints.shape[1], np.arange(len(self._poses))
+        if covariance == "exact":
+            self._shifted[:] = np.inf
+            self._systems(everybody)
+        whole = [c if covariance == "none" else _inverse(c) for c in self._curvatures]
+        sun_sigmas = [_sun_sigma(hill, spread, d) for spread in whole]
+        found = zip(self._suns, sun_sigmas, self._fits, self._scores, whole, strict=True)
+        return [
+            Refined(self._poses[k : k + 1], sun, sun_sigma, fit, float(score), spread[:d, :d])
+            for k, (sun, sun_sigma, fit, score, spread) in enumerate(found)
+        ]
+
+    def _try(self, at: NDArray[np.intp], moves: Array) -> None:
+        """Go where it is higher."""
+        poses, suns = _moved(self._poses[at], self._suns[at], moves, self._hill)
+        fits, scores = _look(self._hill, poses, suns, self._believed, at)
+        better = np.flatnonzero(scores > self._scores[at])
+        there = at[better]
+        self._poses = _replaced(self._poses, there, poses[better])
+        self._suns[there], self._scores[there] = suns[better], scores[better]
+        self._shifted[there] += _rim_shift(self._hill, poses[better], moves[better])
+        for k, new in zip(there, better, strict=True):
+            self._fits[k] = fits[new]
+
+    def _systems(self, at: NDArray[np.intp]) -> list[tuple[Array, Array, Array]]:
+        """Those of ``systems_of``; slopes drawn anew where the rim moved further than the differences reach."""
+        old = at[[k not in self._slopes or self._shifted[k] > self._hill.difference for k in at]]
+        if len(old):
+            fits = [self._fits[k] for k in old]
+            self._slopes.update(zip(old, slopes_of(self._hill, self._poses[old], self._suns[old], fits), strict=True))
+            self._shifted[old] = 0.0
+        fits, slopes = [self._fits[k] for k in at], [self._slopes[k] for k in at]
+        systems = systems_of(self._hill, self._poses[at], self._suns[at], fits, slopes, self._believed, at)
+        for k, (_, _, curvature) in zip(at, systems, strict=True):
+            self._curvatures[k] = curvature
+        return systems
 
 
 def _rim_shift(hill: Hill, poses: Poses, moves: Array) -> Array:
@@ -141,8 +164,8 @@ def _look(
         terms = painted(terms, believed.paint[at])
     found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, hill.rounds)
     fits = [
-        Fit(float(e), float(x), c, *(getattr(more, name) for name in _DETAILS))
-        for e, x, c, more in zip(found.log_evidence, found.chi2, found.coefficients, details, strict=True)
+        Fit(p, float(e), float(x), c, *(getattr(more, name) for name in _DETAILS))
+        for p, e, x, c, more in zip(planes, found.log_evidence, found.chi2, found.coefficients, details, strict=True)
     ]
     before = np.zeros(len(poses))
     if believed is not None and at is not None:
@@ -161,82 +184,6 @@ def _log_prior(told: PosePrior, poses: Poses, suns: Array) -> Array:
     return out
 
 
-def _systems(
-    hill: Hill,
-    poses: Poses,
-    suns: Array,
-    fits: list[Fit],
-    slopes: Sequence[Images],
-    believed: Believed | None = None,
-    at: NDArray[np.intp] | None = None,
-) -> list[tuple[Array, Array, Array]]:
-    """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated; and the curvature of which
-    a spread is stated: with the discrepancy's scale as it is seen, and as if the paint were unknown, since it was
-    learnt from poses that erred as this one does.
-
-    D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
-    """
-    known = None if believed is None or at is None else believed.paint[at, 1]
-    found = [
-        _system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k], None if known is None else known[k])
-        for k in range(len(poses))
-    ]
-    if believed is not None and at is not None:
-        towards, d = -believed.away(poses, at), believed.precision.shape[1]
-        for (normal, pull, stated), precision, away in zip(found, believed.precision[at], towards, strict=True):
-            normal[:d, :d] += precision
-            stated[:d, :d] += precision
-            pull[:d] += precision @ away
-        if hill.sun_free and hill.told.towards_sun is None:
-            d = 6 + poses.joints.shape[1]
-            for k, (normal, pull, stated) in zip(at, found, strict=True):
-                sure, sun = believed.sun_precision[k], suns[np.searchsorted(at, k)]
-                normal[range(d, d + 2), range(d, d + 2)] += sure
-                stated[range(d, d + 2), range(d, d + 2)] += sure
-                pull[d : d + 2] += sure * (across(sun) @ (believed.suns[k] - sun))
-    return found
-
-
-def _system(
-    hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32], known: Array | None
-) -> tuple[Array, Array, Array]:
-    flat = slopes.reshape(len(slopes), -1)
-    weighted = flat * fit.weight.ravel()
-    normal = (weighted @ flat.T).astype(np.float64)
-    pull = (weighted @ fit.residual.ravel()).astype(np.float64)
-    cross = (fit.columns.reshape(len(fit.columns), -1) @ weighted.T).astype(np.float64)
-    prior = np.zeros_like(normal)
-    _add_prior(hill, prior, pull, pose, sun)
-    inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))
-    d = len(slopes)
-    slope = pull - cross.T @ inner[:, d]
-    free = fit.normal.copy()
-    if known is not None:
-        free[range(len(fit.lit)), range(len(fit.lit))] -= known[fit.lit]
-    doubted = (normal - cross.T @ np.linalg.solve(free, cross)) / scale_seen(fit.chi2)
-    return normal + prior - cross.T @ inner[:, :d], slope, doubted + prior
-
-
-def scale_seen(chi2: float) -> float:
-    """What is left over says how far the discrepancy is from the one believed: as much as was known of it before."""
-    known, seen = POSE_DEGREES_OF_FREEDOM, CHI2_DEGREES_OF_FREEDOM
-    return (known + seen * chi2) / (known + seen)
-
-
-def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) -> None:
-    told, d = hill.told, 6 + pose.joints.shape[1]
-    weak = np.concatenate([np.full(3, 1.0), np.full(2, 1e-4), [1.0], np.full(d - 6, 1e-4)])
-    normal[range(d), range(d)] += weak  # far wider than any image allows: it keeps the matrix regular
-    if told.log_scale is not None:
-        normal[5, 5] += told.log_scale_sigma**-2
-        pull[5] += (told.log_scale - float(pose.log_scale[0])) / told.log_scale_sigma**2
-    if hill.sun_free:
-        known = told.towards_sun is not None
-        normal[range(d, d + 2), range(d, d + 2)] += told.sun_sigma**-2 if known else 1.0
-        if told.towards_sun is not None:
-            pull[d : d + 2] += across(sun) @ (told.towards_sun - sun) / told.sun_sigma**2
-
-
 def _damping(hill: Hill, poses: Poses) -> Array:
     """(N, D) precisions that hold a step within ``trust``."""
     trust, joints = hill.trust, hill.drawing.articulation.joints
@@ -247,14 +194,6 @@ def _damping(hill: Hill, poses: Poses) -> Array:
     widths = np.repeat(wide[None], len(poses), axis=0)
     widths[:, 3:5] = (trust.place * rim)[:, None]
     return np.asarray(widths**-2)
-
-
-def _slopes(hill: Hill, poses: Poses, suns: Array, fits: list[Fit]) -> NDArray[np.float32]:
-    """(N, D, S, S) derivatives of the models' images."""
-    blur = hill.scene.point_spread, hill.scene.smoothing
-    shares = np.stack([fit.coefficients for fit in fits])
-    given = hill.drawing, hill.view, hill.quality, blur, poses, suns, shares
-    return derivatives(*given, difference=hill.difference, sun_free=hill.sun_free)
 
 
 def _moved(poses: Poses, suns: Array, moves: Array, hill: Hill) -> tuple[Poses, Array]:

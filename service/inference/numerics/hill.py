@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.inference.model.drawing import FINE, Drawing, Quality, View
-from service.inference.model.likelihood import ROUNDS, Fit, Images, Scene, terms_of
+from service.inference.model.likelihood import ROUNDS, Fit, terms_of
 from service.inference.model.paint import painted
+from service.inference.model.scene import Images, Scene
 from service.inference.numerics.priors import PosePrior
 from service.inference.state import Array, Poses
 

@@ -9,9 +9,11 @@ from scipy.optimize import least_squares
 
 from service.inference.model.derivatives import across, steps_of
 from service.inference.model.drawing import Quality
-from service.inference.model.likelihood import ROUNDS, Scene
+from service.inference.model.likelihood import ROUNDS
+from service.inference.model.scene import Scene, sky_slopes
 from service.inference.model.spread import spread
-from service.inference.numerics.gauss_newton import _look, _moved, _slopes, _systems, ascend, scale_seen, within
+from service.inference.numerics.curvature import scale_seen, slopes_of, systems_of
+from service.inference.numerics.gauss_newton import _look, _moved, ascend, within
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import local, retract
@@ -52,7 +54,7 @@ def profile(on: Hill, at: Poses, sun: np.ndarray, coefficients: np.ndarray, fit)
     def rest(x: np.ndarray) -> np.ndarray:
         bright = np.exp(x[n])
         here = np.append(coefficients[:n] * np.exp(x[:n]), coefficients[n] + gain * x[n + 1]) * bright
-        image = np.tensordot(here, blurred, 1) + np.tensordot(fit.deviation[-3:] + x[-3:], on.scene.slopes, 1)
+        image = np.tensordot(here, blurred, 1) + np.tensordot(fit.deviation[-3:] + x[-3:], sky_slopes(on.scene.side), 1)
         prior = precision * fit.deviation
         prior[free] += precision[free] * x
         return np.concatenate([(weight * (on.scene.data - image)).ravel(), prior])
@@ -69,7 +71,7 @@ def test_slope_and_curvature_are_those_of_the_posterior_at_fixed_weights():
     sun /= np.linalg.norm(sun)
     start = moved(0.004, -0.005, 0.004, 0.06, -0.05, 0.002, 1.0)
     fits, _ = _look(on, start, sun[None])
-    curvature, slope, stated = _systems(on, start, sun[None], fits, _slopes(on, start, sun[None], fits))[0]
+    curvature, slope, stated = systems_of(on, start, sun[None], fits, slopes_of(on, start, sun[None], fits))[0]
     assert stated == pytest.approx(curvature / scale_seen(fits[0].chi2), rel=0.02, abs=0.02 * np.abs(curvature).max())
     turn, joint = steps_of(on.drawing, on.view, on.difference, start)
     step = np.array([turn[0]] * 3 + [on.difference] * 2 + [turn[0], joint[0, 0], 0.03, 0.03])

@@ -11,7 +11,8 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 from scipy.stats import multivariate_t
 
-from service.inference.model.likelihood import Scene, Terms, fit_light, t_log_density, terms_of
+from service.inference.model.likelihood import Terms, fit_light, t_log_density, terms_of
+from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread
 from service.inference.pose import retract
 

@@ -31,7 +31,7 @@ def fitted(turn: float, seed: int, gain: float = 700.0, known: np.ndarray | None
     answers, details = lit_body().light.details(drawn, lit_body().n_groups, terms, 6)
     names = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull", "lit")
     parts = (getattr(details[0], name) for name in names)
-    return Fit(float(answers.log_evidence[0]), float(answers.chi2[0]), answers.coefficients[0], *parts)
+    return Fit(drawn[0], float(answers.log_evidence[0]), float(answers.chi2[0]), answers.coefficients[0], *parts)
 
 
 def followed(n: int) -> np.ndarray:
@@ -93,7 +93,7 @@ def test_information_adds_up_as_the_fading_memory_says_and_wears_off():
         after = (precision * expected + frame * value) / total
         normal = np.diag([total, 1.0])
         nothing = np.empty(0, np.float32)
-        light = (0.0, 1.0, nothing, nothing, nothing, nothing, nothing, nothing)
+        light = (nothing, 0.0, 1.0, *[nothing] * 6)
         fit = Fit(*light, np.array([precision, 1.0]), np.array([after - expected, 0.0]), normal, nothing, np.array([0]))
         mean = (known[0, 0] * before + frame * value) / (before + frame)
         known = paint.learnt(fit, known)

@@ -1,0 +1,105 @@
+"""A patch of a frame as the likelihood sees it: what is fixed before poses are compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.model import prior
+from service.inference.model.spread import PointSpread, spread
+
+Images = NDArray[np.float32]
+_FULL_SHARE = 0.05  # of a pixel's light that comes from censored ones: it is censored too
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One patch as the likelihood sees it: what is fixed before poses are compared."""
+
+    image: Images  # (S, S) light above the sky, counts
+    sigma: float  # noise of one pixel of empty sky, counts
+    photon: float  # variance per count
+    hidden: float  # light of the sky that a body can hide at the most, counts
+    censored: NDArray[np.bool_]  # (S, S)
+    point_spread: PointSpread
+    discrepancy: float = prior.DISCREPANCY  # tau
+    shifts: bool = True  # whether speckle and image shifts are unknowns: not worth their time in a coarse look
+    low_pass: float = 0.0  # l, px; 0: as the point spread asks
+    grain: float = 1.0  # px in which lengths of the discrepancy are told: a patch may be coarser where all is blurred
+    light: prior.LightPrior = field(default_factory=prior.LightPrior)
+
+    @property
+    def side(self) -> int:
+        """S."""
+        return len(self.image)
+
+    @cached_property
+    def smoothing(self) -> float:
+        """l, px."""
+        return self.low_pass or prior.LOW_PASS_SHARE * self.point_spread.width
+
+    @cached_property
+    def data(self) -> Images:
+        """(S, S) the frame after its low pass."""
+        return np.asarray(spread(self.image[None], PointSpread(0.0), self.smoothing)[0], np.float32)
+
+    @cached_property
+    def area(self) -> float:
+        """A: pixels that count as one."""
+        taps = np.exp(-0.5 * (np.arange(-64, 65) / max(self.smoothing, 1e-3)) ** 2)
+        taps /= taps.sum()
+        return float(1.0 / np.sum(taps**2) ** 2)
+
+    @cached_property
+    def alike(self) -> float:
+        """c: pixels' areas over which the discrepancy is alike."""
+        return max(prior.DISCREPANCY_LEAST, (self.grain * prior.DISCREPANCY_LENGTH) ** 2 / self.area)
+
+    @cached_property
+    def full(self) -> NDArray[np.bool_]:
+        """(S, S) pixels of which only a least value is known."""
+        share = spread(self.censored.astype(np.float32)[None], PointSpread(0.0), self.smoothing)[0]
+        return np.asarray(share > _FULL_SHARE)
+
+    @cached_property
+    def gain(self) -> float:
+        """Log gain to start from: that of the brighter light in the frame."""
+        return log(max(float(np.quantile(self.data, 0.99)), 3 * self.sigma))
+
+    def under(self, *, point_spread: PointSpread | None = None, discrepancy: float | None = None) -> Scene:
+        """The same frame, with the low pass it has, under another point spread or discrepancy."""
+        other = replace(
+            self,
+            point_spread=point_spread or self.point_spread,
+            discrepancy=self.discrepancy if discrepancy is None else discrepancy,
+            low_pass=self.smoothing,
+        )
+        for name in ("data", "area", "full", "gain"):  # of the frame and its low pass alone
+            other.__dict__[name] = getattr(self, name)
+        return other
+
+
+@lru_cache(maxsize=16)
+def sky_slopes(side: int) -> Images:
+    """(3, S, S) level and two slopes across a patch."""
+    axis = np.linspace(-1, 1, side, dtype=np.float32)
+    across, down = np.meshgrid(axis, axis)
+    return _kept(np.stack([np.ones_like(across), across, down]))
+
+
+@lru_cache(maxsize=16)
+def shift_bumps(side: int) -> Images:
+    """(9, S, S) smooth bumps a third of the body apart: where the air shifts the image alike."""
+    middle = np.array([0.25, 0.5, 0.75]) * side
+    at = np.arange(side) + 0.5
+    line = np.exp(-0.5 * ((at[None] - middle[:, None]) / (0.2 * side)) ** 2)
+    return _kept(np.asarray(np.einsum("ai,bj->abij", line, line).reshape(9, side, side), np.float32))
+
+
+def _kept(pictures: Images) -> Images:
+    pictures.flags.writeable = False
+    return pictures

@@ -1,0 +1,100 @@
+"""The linear systems of Gauss-Newton: slopes of the models' images, and what they say of a pose (docs/model.md, 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.model.derivatives import across, derivatives
+from service.inference.model.likelihood import Fit
+from service.inference.model.prior import CHI2_DEGREES_OF_FREEDOM, POSE_DEGREES_OF_FREEDOM
+from service.inference.model.scene import Images
+from service.inference.numerics.hill import Hill
+from service.inference.numerics.priors import Believed
+from service.inference.state import Array, Poses
+
+
+def slopes_of(hill: Hill, poses: Poses, suns: Array, fits: list[Fit]) -> NDArray[np.float32]:
+    """(N, D, S, S) derivatives of the models' images."""
+    blur = hill.scene.point_spread, hill.scene.smoothing
+    shares = np.stack([fit.coefficients for fit in fits])
+    given = hill.drawing, hill.view, hill.quality, blur, poses, suns, shares
+    return derivatives(*given, difference=hill.difference, sun_free=hill.sun_free)
+
+
+def systems_of(
+    hill: Hill,
+    poses: Poses,
+    suns: Array,
+    fits: list[Fit],
+    slopes: Sequence[Images],
+    believed: Believed | None = None,
+    at: NDArray[np.intp] | None = None,
+) -> list[tuple[Array, Array, Array]]:
+    """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated; and the curvature of which
+    a spread is stated: with the discrepancy's scale as it is seen, and as if the paint were unknown, since it was
+    learnt from poses that erred as this one does.
+
+    D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
+    """
+    known = None if believed is None or at is None else believed.paint[at, 1]
+    found = [
+        _system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k], None if known is None else known[k])
+        for k in range(len(poses))
+    ]
+    if believed is not None and at is not None:
+        towards, d = -believed.away(poses, at), believed.precision.shape[1]
+        for (normal, pull, stated), precision, away in zip(found, believed.precision[at], towards, strict=True):
+            normal[:d, :d] += precision
+            stated[:d, :d] += precision
+            pull[:d] += precision @ away
+        if hill.sun_free and hill.told.towards_sun is None:
+            d = 6 + poses.joints.shape[1]
+            for k, (normal, pull, stated) in zip(at, found, strict=True):
+                sure, sun = believed.sun_precision[k], suns[np.searchsorted(at, k)]
+                normal[range(d, d + 2), range(d, d + 2)] += sure
+                stated[range(d, d + 2), range(d, d + 2)] += sure
+                pull[d : d + 2] += sure * (across(sun) @ (believed.suns[k] - sun))
+    return found
+
+
+def _system(
+    hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32], known: Array | None
+) -> tuple[Array, Array, Array]:
+    flat = slopes.reshape(len(slopes), -1)
+    weighted = flat * fit.weight.ravel()
+    normal = (weighted @ flat.T).astype(np.float64)
+    pull = (weighted @ fit.residual.ravel()).astype(np.float64)
+    cross = (fit.columns.reshape(len(fit.columns), -1) @ weighted.T).astype(np.float64)
+    prior = np.zeros_like(normal)
+    _add_prior(hill, prior, pull, pose, sun)
+    inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))
+    d = len(slopes)
+    slope = pull - cross.T @ inner[:, d]
+    free = fit.normal.copy()
+    if known is not None:
+        free[range(len(fit.lit)), range(len(fit.lit))] -= known[fit.lit]
+    doubted = (normal - cross.T @ np.linalg.solve(free, cross)) / scale_seen(fit.chi2)
+    return normal + prior - cross.T @ inner[:, :d], slope, doubted + prior
+
+
+def scale_seen(chi2: float) -> float:
+    """What is left over says how far the discrepancy is from the one believed: as much as was known of it before."""
+    known, seen = POSE_DEGREES_OF_FREEDOM, CHI2_DEGREES_OF_FREEDOM
+    return (known + seen * chi2) / (known + seen)
+
+
+def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) -> None:
+    told, d = hill.told, 6 + pose.joints.shape[1]
+    weak = np.concatenate([np.full(3, 1.0), np.full(2, 1e-4), [1.0], np.full(d - 6, 1e-4)])
+    normal[range(d), range(d)] += weak  # far wider than any image allows: it keeps the matrix regular
+    if told.log_scale is not None:
+        normal[5, 5] += told.log_scale_sigma**-2
+        pull[5] += (told.log_scale - float(pose.log_scale[0])) / told.log_scale_sigma**2
+    if hill.sun_free:
+        known = told.towards_sun is not None
+        normal[range(d, d + 2), range(d, d + 2)] += told.sun_sigma**-2 if known else 1.0
+        if told.towards_sun is not None:
+            pull[d : d + 2] += across(sun) @ (told.towards_sun - sun) / told.sun_sigma**2
