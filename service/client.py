@@ -22,6 +22,7 @@ import httpx
 
 from service.api import schemas
 from service.api.motion import PassMotion
+from service.api.objects import ObjectMotion, TrackedObject
 from service.remote import calls
 from service.remote.async_client import AsyncClient
 from service.remote.calls import Arrays, Call, Image
@@ -180,6 +181,18 @@ class Client:
     def motion(self, session_id: str) -> PassMotion:
         """How the object turned, from all frames. Raises ``ClientError`` (409) for too few of them."""
         return self.call(calls.get(PassMotion, f"/v1/sessions/{session_id}/motion"))
+
+    def create_object(self, name: str, sessions: Sequence[str] = ()) -> TrackedObject:
+        """Name what several sessions are of: those of several telescopes, of several passes."""
+        return self.call(calls.create_object(name, sessions))
+
+    def join_object(self, object_id: str, session_id: str) -> TrackedObject:
+        """A session is of this object."""
+        return self.call(calls.join_object(object_id, session_id))
+
+    def object_motion(self, object_id: str, number: int | None = None) -> ObjectMotion:
+        """How an object turned in a pass (the last by default), by all telescopes that saw it."""
+        return self.call(calls.object_motion(object_id, number))
 
     def report(self, session_id: str) -> bytes:
         """The pass for people, as one HTML file. Raises ``ClientError`` (409) before the first frame."""

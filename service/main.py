@@ -25,7 +25,19 @@ from service.access.peers import Peers
 from service.access.provider import open_oidc
 from service.access.stored import StoredBytes
 from service.access.tickets import OwnTickets, SharedTickets
-from service.api import access, checkpoint, estimates, frames, health, models, problems, schemas, sessions, stream
+from service.api import (
+    access,
+    checkpoint,
+    estimates,
+    frames,
+    health,
+    models,
+    objects,
+    problems,
+    schemas,
+    sessions,
+    stream,
+)
 from service.api.bodies import BodyLimits
 from service.api.description import DescribedApi
 from service.api.flow import Flow
@@ -46,6 +58,7 @@ from service.sessions.cluster import Cluster
 from service.sessions.hub import Hub
 from service.sessions.library import Library
 from service.sessions.line import Line
+from service.sessions.objects import Objects
 from service.sessions.pruning import Pruning
 from service.sessions.registry import Registry
 from service.sessions.report import Reports
@@ -85,7 +98,7 @@ def create_app(settings: Settings, transport: Transport | None = None) -> FastAP
     )
     app.state.services, app.state.refused = services, None
     problems.install(app)
-    for room in (models, sessions, frames, estimates, checkpoint, stream, access, health):
+    for room in (models, sessions, objects, frames, estimates, checkpoint, stream, access, health):
         app.include_router(room.router)
     app.add_middleware(BodyLimits, settings=settings)
     app.add_middleware(Flow, settings=settings)
@@ -130,6 +143,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         pruning=Pruning(database, registry, Rules(settings.end_idle_days, settings.retain_ended_days)),
         library=library,
         archive=archive,
+        objects=Objects(database, archive.motions),
         reports=Reports(archive, library, status, settings.keep_frame_bodies),
         checkpoints=Checkpoints(database, registry, library, engine, _check_estimate),
         batch_places=Places(settings.max_batches, "SKYPOSE_MAX_BATCHES"),

@@ -11,8 +11,10 @@ from service.store.scope import (
     DEFAULT_TENANT,
     TENANT_PATTERN,
     ModelKey,
+    ObjectKey,
     SessionKey,
     model_key,
+    object_key,
     public_id,
     session_key,
     tenant_of,
@@ -25,6 +27,7 @@ __all__ = [
     "TENANT_PATTERN",
     "KeyRates",
     "ModelKey",
+    "ObjectKey",
     "Principal",
     "Role",
     "SessionKey",
@@ -88,6 +91,10 @@ class Principal:
     def model(self, model_id: str) -> ModelKey:
         """The key of this tenant's model. Raises ``NotFoundError`` for what cannot be an id."""
         return model_key(self.tenant, model_id)
+
+    def object(self, object_id: str) -> ObjectKey:
+        """The key of this tenant's object. Raises ``NotFoundError`` for what cannot be an id."""
+        return object_key(self.tenant, object_id)
 
 
 LOCAL = Principal(DEFAULT_TENANT, "local", Role.ADMIN)

@@ -1,7 +1,7 @@
 """Who calls, and may they: what every route declares.
 
 A route takes ``Reader``, ``Operator`` or ``Admin`` (the ``Principal``, at least of that role), or, where its path names
-a session or a model, ``ReadSession``, ``OperateSession``, ``ReadModel``, ``OperateModel``: the row's key, which only
+a session, a model or an object, ``ReadSession``, ``OperateSession``, ``ReadModel`` and so on: the row's key, which only
 that principal's tenant can make. A test holds every route to it.
 """
 
@@ -15,7 +15,7 @@ from starlette.requests import HTTPConnection
 
 from service.access.gate import Shown
 from service.access.peers import BODY_SHA256, FORWARDED, HEADER
-from service.access.principal import ModelKey, Principal, Role, SessionKey
+from service.access.principal import ModelKey, ObjectKey, Principal, Role, SessionKey
 from service.api.forwarding import target_of
 from service.api.services import services_of
 
@@ -86,6 +86,13 @@ def _model(role: Role) -> Callable[[str, Principal], Awaitable[ModelKey]]:
     return model_of_tenant
 
 
+def _object(role: Role) -> Callable[[str, Principal], Awaitable[ObjectKey]]:
+    async def object_of_tenant(object_id: str, principal: Annotated[Principal, Depends(_of_role(role))]) -> ObjectKey:
+        return principal.object(object_id)
+
+    return object_of_tenant
+
+
 Reader = Annotated[Principal, Depends(_of_role(Role.READ))]
 Operator = Annotated[Principal, Depends(_of_role(Role.OPERATE))]
 Admin = Annotated[Principal, Depends(_of_role(Role.ADMIN))]
@@ -93,3 +100,5 @@ ReadSession = Annotated[SessionKey, Depends(_session(Role.READ))]
 OperateSession = Annotated[SessionKey, Depends(_session(Role.OPERATE))]
 ReadModel = Annotated[ModelKey, Depends(_model(Role.READ))]
 OperateModel = Annotated[ModelKey, Depends(_model(Role.OPERATE))]
+ReadObject = Annotated[ObjectKey, Depends(_object(Role.READ))]
+OperateObject = Annotated[ObjectKey, Depends(_object(Role.OPERATE))]

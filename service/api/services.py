@@ -24,6 +24,7 @@ from service.sessions.batch import Batches
 from service.sessions.checkpoint import Checkpoints
 from service.sessions.hub import Hub
 from service.sessions.library import Library
+from service.sessions.objects import Objects
 from service.sessions.pruning import Pruning
 from service.sessions.registry import Registry
 from service.sessions.report import Reports
@@ -42,6 +43,7 @@ class Services:
     pruning: Pruning
     library: Library
     archive: Archive
+    objects: Objects
     reports: Reports
     checkpoints: Checkpoints
     batches: Batches

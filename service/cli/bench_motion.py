@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from service.bench.motion_streams import StreamPlan
 
 
 def motion(
@@ -16,6 +19,8 @@ def motion(
     slowest: Annotated[float, typer.Option(min=1e-3, help="Rate, °/s.")] = 0.05,
     tracked: Annotated[int, typer.Option(min=0, help="So many passes drawn and tracked, in the place of streams.")] = 0,
     modes: Annotated[int, typer.Option(min=0, help="So many passes in attitude modes, in the place of both.")] = 0,
+    stations: Annotated[int, typer.Option(min=0, help="So many passes over two telescopes, in their place.")] = 0,
+    base: Annotated[float, typer.Option(min=0, help="Between the two, km; the object is 700 km away.")] = 300.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the passes.")] = 0,
     json: Annotated[Path | None, typer.Option("--json", help="Write the rows as JSON.")] = None,
 ) -> None:
@@ -27,6 +32,10 @@ def motion(
 
     if modes:
         _modes(modes, frames, seed, json)
+        return
+
+    if stations:
+        _stations(StreamPlan(frames, span, (slowest, max(10.0, slowest))), stations, base, seed, json)
         return
 
     def tell(row: MotionRow) -> None:
@@ -41,6 +50,19 @@ def motion(
         rows = run_streams(plan, passes, seed, tell)
     document = motion_document(dict(describe_machine()), rows)
     publish(document, (motion_table(document),), None, json, None)
+
+
+def _stations(plan: StreamPlan, passes: int, base: float, seed: int, json: Path | None) -> None:
+    from service.bench.machine import describe_machine
+    from service.bench.station_streams import StationRow, run_stations, station_document, station_table
+    from service.cli.bench_output import publish
+
+    def tell(row: StationRow) -> None:
+        told = ", ".join(f"{name} {row.error_deg[name]:.2f}°" for name in row.error_deg)
+        typer.echo(f"{row.rate_deg_s:.3f} °/s: {told}", err=True)
+
+    document = station_document(dict(describe_machine()), run_stations(plan, passes, base, seed, tell))
+    publish(document, (station_table(document),), None, json, None)
 
 
 def _modes(passes: int, frames: int, seed: int, json: Path | None) -> None:

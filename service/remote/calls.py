@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from service.api import schemas
+from service.api.objects import ObjectMotion, TrackedObject
 from service.remote.errors import RefusedError, UnexpectedError
 from service.remote.media import media_type_of
 from service.remote.urdf_files import mesh_files
@@ -128,6 +129,23 @@ def create_session(body: Mapping[str, Any]) -> Call[schemas.Session]:
     head = {"Content-Type": "application/json"}
     content = orjson.dumps({name: value for name, value in body.items() if value is not None})
     return Call("POST", "/v1/sessions", _json(schemas.Session), content=content, headers=head, repeatable=False)
+
+
+def create_object(name: str, sessions: Sequence[str]) -> Call[TrackedObject]:
+    """Not repeatable: it would name a second object."""
+    head = {"Content-Type": "application/json"}
+    content = orjson.dumps({"name": name, "sessions": list(sessions)})
+    return Call("POST", "/v1/objects", _json(TrackedObject), content=content, headers=head, repeatable=False)
+
+
+def join_object(object_id: str, session_id: str) -> Call[TrackedObject]:
+    """A session is of an object."""
+    return Call("PUT", f"/v1/objects/{object_id}/sessions/{session_id}", _json(TrackedObject))
+
+
+def object_motion(object_id: str, number: int | None) -> Call[ObjectMotion]:
+    """How an object turned in a pass."""
+    return get(ObjectMotion, f"/v1/objects/{object_id}/motion", **{"pass": number})
 
 
 def get(kind: type[M], path: str, **params: Any) -> Call[M]:

@@ -42,7 +42,7 @@ class Archive:
         self.database = database
         self._engine = engine
         self._smoothed = SmoothedPages(database, engine)
-        self._motions = PassMotions(database, engine)
+        self.motions = PassMotions(database, engine)
 
     async def session(self, session_id: SessionKey) -> dict[str, Any]:
         """One session."""
@@ -70,7 +70,7 @@ class Archive:
 
     async def motion(self, session_id: SessionKey) -> bytes:
         """How the object turned, as JSON. Raises ``ConflictError`` for too few frames."""
-        return await self._motions.of(session_id)
+        return await self.motions.of(session_id)
 
     async def by_key(self, session_id: SessionKey, key: str) -> bytes | None:
         """The estimate of the frame that was sent with this idempotency key, or None."""

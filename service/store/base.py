@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from service.store.scope import DEFAULT_TENANT, ModelKey, SessionKey
+from service.store.scope import DEFAULT_TENANT, ModelKey, ObjectKey, SessionKey
 
 Record = TypeVar("Record")
 
@@ -71,6 +71,18 @@ class SessionStamp:
     id: SessionKey
     updated_at: str
     ended_at: str | None
+
+
+@dataclass(frozen=True)
+class ObjectRecord:
+    """An object, and the sessions that are of it in the order of their creation."""
+
+    id: ObjectKey
+    name: str
+    created_at: str
+    number: int = 0
+    tenant: str = DEFAULT_TENANT
+    sessions: tuple[SessionKey, ...] = ()
 
 
 @dataclass(frozen=True)

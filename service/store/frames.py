@@ -107,6 +107,14 @@ def estimate_page(connection: Connection, session_id: SessionKey, after: int, li
     return [(row.idx, checked(estimates, row).document) for row in connection.execute(query)]
 
 
+def span(connection: Connection, session_id: SessionKey) -> tuple[str, str] | None:
+    """Times of a session's first and last frame; None: it has none."""
+    mine = select(frames).where(frames.c.session_id == session_id).limit(1)
+    first = connection.execute(mine.order_by(frames.c.idx)).first()
+    last = connection.execute(mine.order_by(frames.c.idx.desc())).first()
+    return None if first is None or last is None else (checked(frames, first).time, checked(frames, last).time)
+
+
 def belief_page(connection: Connection, session_id: SessionKey, first: int) -> list[StoredBelief]:
     """Time and packed modes of frame ``first`` and all after it. Raises ``NotFoundError``: no such session."""
     session_queries.get(connection, session_id)

@@ -19,7 +19,7 @@ from service.errors import DamagedError
 
 CHECKSUM = "checksum"
 _BYTES = 8  # one damaged row in 2**64 goes unnoticed
-_KEYS = ("key", "session_id", "id", "idx", "ordinal", "seq")
+_KEYS = ("key", "object_id", "session_id", "id", "idx", "ordinal", "seq")
 
 
 def is_sealed(table: Table) -> bool:

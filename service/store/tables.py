@@ -160,6 +160,28 @@ beliefs = Table(
     _checksum(),
 )
 
+objects = Table(
+    "objects",
+    metadata,
+    Column("number", Number, primary_key=True, autoincrement=True, info=CHANGES),
+    Column("id", String, nullable=False, unique=True),
+    Column("name", String, nullable=False),
+    Column("created_at", String, nullable=False),
+    Column("tenant", String, nullable=False),
+    _checksum(),
+    Index("ix_objects_tenant_number", "tenant", "number"),
+    sqlite_autoincrement=True,
+)
+"""What several sessions are of."""
+
+members = Table(
+    "members",
+    metadata,
+    Column("object_id", String, ForeignKey("objects.id", ondelete="CASCADE"), primary_key=True, nullable=False),
+    _of_session(),
+    _checksum(),
+)
+
 contenders = Table(
     "contenders",
     metadata,

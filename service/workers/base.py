@@ -220,6 +220,8 @@ class MotionJob:
     cameras: tuple[NDArray[np.float64], ...] | None = None  # (4,) camera -> GCRF of every frame; None: not known
     references: Mapping[str, NDArray[np.float64]] | None = None  # (frames, 3, 3) reference -> GCRF, by attitude mode
     blobs: Mapping[str, bytes] = field(default_factory=dict)
+    others: tuple[MotionJob, ...] = ()  # of other telescopes that saw the same object, cameras known in all of them
+    offset_s: float = 0.0  # from the time of the beliefs to that of the answer
 
 
 class Worker(Protocol):

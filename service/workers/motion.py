@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gpu.mesh import Mesh
 from service.errors import ConflictError
@@ -18,11 +16,10 @@ from service.inference.pose import conjugate, from_matrices
 from service.inference.spin.attitude_modes import attitude_modes
 from service.inference.spin.basins import PassMotion
 from service.inference.spin.fit import LEAST_FRAMES, evenly, fit_pass
-from service.inference.spin.frames import PassFrames, pass_frames, seen_from, with_equivalents
-from service.inference.spin.own import Own, own_likelihoods
+from service.inference.spin.frames import PassFrames, merged, pass_frames, seen_from, with_equivalents
+from service.inference.spin.own import own_likelihoods
 from service.inference.spin.rigid_body import shape_of
 from service.inference.state import Array
-from service.inference.symmetry import Symmetry
 from service.models.symmetry_group import held_symmetries
 from service.workers.base import MotionJob
 from service.workers.codec import decode
@@ -36,49 +33,63 @@ def motion_of(job: MotionJob, mesh: Mesh | None) -> PassMotion:
 
     Raises ``ConflictError`` for too few frames, ``CheckpointError`` for a broken belief.
     """
-    articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
-    size = camera_window(job.config.camera, job.width, job.height).size
-    domain = Domain(*size, _ANY_RADIUS, articulation, job.config.prior)
-    noise = motion_noise(job.config.motion, domain)
-    bootstrap = job.config.filter.method == "bootstrap"
-    beliefs = [None if packed is None else decode(Belief, packed) for packed in job.beliefs]
-    own = own_likelihoods(beliefs, noise, domain, bootstrap=bootstrap)
-    symmetries = held_symmetries(job.twins, job.articulation, articulation)
-    # What lights the surfaces tells mirror twins apart; outlines do not.
-    alike = [s for s in symmetries if s.kind == "rotation" or (bootstrap and s.kind == "mirror")]
-    frames, numbers = _frames(job, beliefs, own, alike)
-    turns = [conjugate(from_matrices(np.asarray(s.matrix))) for s in alike if s.kind == "rotation"]
-    rate_sigma = job.config.motion.rate_spread * float(np.sqrt(noise.jitter[0]))
-    found = fit_pass(frames, rate_sigma, None if mesh is None else shape_of(second_moments(mesh)), turns)
+    stations = [_Station(one) for one in (job, *job.others)]
+    seen = [one for one in stations if one.numbers]
+    if len({time_s for one in seen for time_s in one.time_s}) < LEAST_FRAMES:
+        detail = f"a motion needs {LEAST_FRAMES} frames in which the object is seen, each at its own time"
+        raise ConflictError(detail, frames=sum(len(one.numbers) for one in seen), needed=LEAST_FRAMES)
+    frames, order = merged([one.frames() for one in seen])
+    rate_sigma = max(one.rate_sigma for one in seen)
+    found = fit_pass(frames, rate_sigma, None if mesh is None else shape_of(second_moments(mesh)), seen[0].turns)
     if not found.basins:
         detail = f"no motion of a free or steadily turning body explains {LEAST_FRAMES} of the {len(frames)} frames"
         raise ConflictError(detail, frames=len(frames))
-    if job.references is None or job.cameras is None:
+    references = [one.job.references for one in seen if one.job.references is not None]
+    if len(references) < len(seen):
         return found
-    references = {name: from_matrices(one[numbers]) for name, one in job.references.items()}
-    return replace(found, attitude=attitude_modes(frames, references, found))
+    held = {
+        name: from_matrices(
+            np.concatenate([mine[name][one.numbers] for mine, one in zip(references, seen, strict=True)])
+        )
+        for name in references[0]
+    }
+    return replace(found, attitude=attitude_modes(frames, {name: q[order] for name, q in held.items()}, found))
 
 
-def _frames(
-    job: MotionJob, beliefs: Sequence[Belief | None], own: Sequence[Own | None], alike: Sequence[Symmetry]
-) -> tuple[PassFrames, NDArray[np.intp]]:
-    """What the frames that count say by themselves, in order of time, and their numbers."""
-    told = [
-        (belief.time_s, k, one)
-        for k, (belief, one, counts) in enumerate(zip(beliefs, own, job.counts, strict=True))
-        if belief is not None and one is not None and counts
-    ]
-    if len({time_s for time_s, _, _ in told}) < LEAST_FRAMES:
-        detail = f"a motion needs {LEAST_FRAMES} frames in which the object is seen, each at its own time"
-        raise ConflictError(detail, frames=len(told), needed=LEAST_FRAMES)
-    told.sort(key=lambda one: one[:2])
-    told = [told[k] for k in evenly(len(told))]
-    numbers = np.array([k for _, k, _ in told])
-    parts = ([getattr(one, name) for _, _, one in told] for name in ("quaternion", "covariance", "weight"))
-    frames = with_equivalents(pass_frames(np.array([time_s for time_s, _, _ in told]), *parts), alike)
-    if job.cameras is not None:
-        frames = seen_from(frames, np.array([job.cameras[k] for k in numbers]))
-    return frames, numbers
+class _Station:
+    """One telescope's frames that count, in order of time."""
+
+    def __init__(self, job: MotionJob) -> None:
+        self.job = job
+        articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
+        size = camera_window(job.config.camera, job.width, job.height).size
+        domain = Domain(*size, _ANY_RADIUS, articulation, job.config.prior)
+        noise = motion_noise(job.config.motion, domain)
+        bootstrap = job.config.filter.method == "bootstrap"
+        beliefs = [None if packed is None else decode(Belief, packed) for packed in job.beliefs]
+        own = own_likelihoods(beliefs, noise, domain, bootstrap=bootstrap)
+        told = [
+            (belief.time_s + job.offset_s, k, one)
+            for k, (belief, one, counts) in enumerate(zip(beliefs, own, job.counts, strict=True))
+            if belief is not None and one is not None and counts
+        ]
+        told.sort(key=lambda one: one[:2])
+        told = [told[k] for k in evenly(len(told), 1 + len(job.others))] if told else []
+        self.time_s, self.numbers = [time_s for time_s, _, _ in told], [k for _, k, _ in told]
+        self._own = [one for _, _, one in told]
+        self.rate_sigma = job.config.motion.rate_spread * float(np.sqrt(noise.jitter[0]))
+        symmetries = held_symmetries(job.twins, job.articulation, articulation)
+        # What lights the surfaces tells mirror twins apart; outlines do not.
+        self._alike = [s for s in symmetries if s.kind == "rotation" or (bootstrap and s.kind == "mirror")]
+        self.turns = [conjugate(from_matrices(np.asarray(s.matrix))) for s in self._alike if s.kind == "rotation"]
+
+    def frames(self) -> PassFrames:
+        """What each says by itself: body -> GCRF where the cameras are known, else body -> camera."""
+        parts = ([getattr(one, name) for one in self._own] for name in ("quaternion", "covariance", "weight"))
+        frames = with_equivalents(pass_frames(np.array(self.time_s), *parts), self._alike)
+        if self.job.cameras is None:
+            return frames
+        return seen_from(frames, np.array([self.job.cameras[k] for k in self.numbers]))
 
 
 def second_moments(mesh: Mesh) -> Array:

@@ -55,9 +55,9 @@ def fit_pass(
     return replace(ranked, rotations=tuple(rotations))
 
 
-def evenly(count: int) -> NDArray[np.intp]:
+def evenly(count: int, stations: int = 1) -> NDArray[np.intp]:
     """Numbers of the frames that are taken of ``count``: all, or of a long pass so many that it takes seconds."""
-    return np.unique(np.linspace(0, count - 1, min(count, _FRAMES)).round().astype(np.intp))
+    return np.unique(np.linspace(0, count - 1, min(count, _FRAMES // stations)).round().astype(np.intp))
 
 
 def _ranked(basins: list[Basin], reference_s: float, half_span_s: float, n_frames: int) -> PassMotion:
@@ -108,7 +108,9 @@ def weighed(
         squares = solved.own_squares if solved is not None and same else np.sum(z**2, axis=1)
         u = (DEGREES + 3) / (DEGREES + squares)
         away = prior.away(motion)[0]
-        linear = Linear(frames.time_s[used], z, frames.root[told] @ jacobian[0][used], u, precision, away)
+        linear = Linear(
+            frames.time_s[used], z, frames.root[told] @ jacobian[0][used], u, precision, away, frames.station[used]
+        )
         solved = solve(linear)
         log = solved.log_evidence + float(prior.log_density(motion)[0])
         motion = moved(motion, solved.mean[None])

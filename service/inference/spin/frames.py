@@ -33,13 +33,19 @@ class PassFrames:
     root: Array  # (n, M, 3, 3) symmetric W with W W = C^-1, 1/rad
     log_weight: Array  # (n, M)
     n_starts: int  # of the M, the first ones: the others are only their symmetry-equivalents
+    station: NDArray[np.intp]  # (n,) number of the telescope: frames of two err independently
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> PassFrames:
         return PassFrames(
-            self.time_s[index], self.quaternion[index], self.root[index], self.log_weight[index], self.n_starts
+            self.time_s[index],
+            self.quaternion[index],
+            self.root[index],
+            self.log_weight[index],
+            self.n_starts,
+            self.station[index],
         )
 
 
@@ -61,7 +67,31 @@ def pass_frames(
         root[k, : len(w)] = np.einsum("mij,mj,mkj->mik", vectors, scale, vectors)
         with np.errstate(divide="ignore"):
             log_weight[k, : len(w)] = np.log(np.asarray(w) / np.sum(w))
-    return PassFrames(np.asarray(time_s, np.float64), quaternion, root, log_weight, most)
+    one = np.zeros(len(time_s), dtype=np.intp)
+    return PassFrames(np.asarray(time_s, np.float64), quaternion, root, log_weight, most, one)
+
+
+def merged(stations: Sequence[PassFrames]) -> tuple[PassFrames, NDArray[np.intp]]:
+    """Frames of several telescopes, body -> one fixed frame, in order of time; and where each was among all of them."""
+    starts, count = max(one.n_starts for one in stations), sum(len(one) for one in stations)
+    others = max(one.log_weight.shape[1] - one.n_starts for one in stations)
+    quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (count, starts + others, 1))
+    root = np.tile(np.eye(3), (count, starts + others, 1, 1))
+    log_weight = np.full((count, starts + others), -np.inf)
+    first = 0
+    for one in stations:
+        rows = slice(first, first + len(one))
+        for to, own in (
+            (slice(0, one.n_starts), slice(0, one.n_starts)),
+            (slice(starts, starts + one.log_weight.shape[1] - one.n_starts), slice(one.n_starts, None)),
+        ):
+            quaternion[rows, to], root[rows, to] = one.quaternion[:, own], one.root[:, own]
+            log_weight[rows, to] = one.log_weight[:, own]
+        first += len(one)
+    time_s = np.concatenate([one.time_s for one in stations])
+    station = np.repeat(np.arange(len(stations)), [len(one) for one in stations])
+    order = np.argsort(time_s, kind="stable")
+    return PassFrames(time_s, quaternion, root, log_weight, starts, station)[order], order
 
 
 def with_equivalents(frames: PassFrames, symmetries: Sequence[Symmetry]) -> PassFrames:

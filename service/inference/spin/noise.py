@@ -3,6 +3,7 @@
 The whitened errors z of n frames, each of three axes by itself, have the covariance s^2 K,
 K_ij = a exp(-|t_i - t_j| / tau) + (1 - a) [i = j] / u_i: a share a that stays for some tau, the rest each frame's own,
 with the weights u_i of a Student t. The first is Markov, so its precision is tridiagonal and all sums take O(n).
+Frames of two telescopes see the body from two sides: their errors are independent, under one law.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from service.inference.state import Array
@@ -35,6 +37,11 @@ class Linear:
     weight: Array  # (n,) u, positive
     precision: Array  # (P,) of the Gaussian prior
     away: Array  # (P,) from its mean
+    station: NDArray[np.intp]  # (n,) frames of two of them err independently
+
+    def parts(self) -> list[NDArray[np.intp]]:
+        """Rows of each station."""
+        return [np.flatnonzero(self.station == k) for k in np.unique(self.station)]
 
 
 @dataclass(frozen=True)
@@ -108,24 +115,26 @@ class _Sums:
 
 
 def _sums(linear: Linear, a: float, tau: float) -> _Sums:
-    n, axes, p = linear.jacobian.shape
-    columns = np.concatenate([linear.residual[..., None], linear.jacobian], axis=2).reshape(n, -1)
-    columns = np.column_stack([columns, np.ones(n)])
-    inverse = linear.weight / (1 - a)
-    whitened = columns * inverse[:, None]
-    log_determinant = -float(np.sum(np.log(inverse)))
-    if a > 0.0:
-        banded, log_markov = _markov_precision(linear.time_s, tau)
-        banded = banded / a
-        banded[1] += inverse
-        root = cholesky_banded(banded)
-        log_determinant += 2 * float(np.sum(np.log(root[1]))) - (log_markov - n * np.log(a))
-        whitened = whitened - inverse[:, None] * cho_solve_banded((root, False), whitened)
-    gram = columns.T @ whitened
-    independent = float(gram[-1, -1]) / float(np.sum(inverse) * (1 - a)) * n
-    gram = gram[:-1, :-1].reshape(axes, p + 1, axes, p + 1)
-    inner = np.einsum("iaib->ab", gram)
-    return _Sums(float(inner[0, 0]), inner[1:, 0], inner[1:, 1:], axes * log_determinant, min(independent, float(n)))
+    axes, p = linear.jacobian.shape[1:]
+    inner, log_determinant, independent = np.zeros((p + 1, p + 1)), 0.0, 0.0
+    for rows in linear.parts():
+        n = len(rows)
+        columns = np.concatenate([linear.residual[rows, :, None], linear.jacobian[rows]], axis=2).reshape(n, -1)
+        columns = np.column_stack([columns, np.ones(n)])
+        inverse = linear.weight[rows] / (1 - a)
+        whitened = columns * inverse[:, None]
+        log_determinant -= float(np.sum(np.log(inverse)))
+        if a > 0.0:
+            banded, log_markov = _markov_precision(linear.time_s[rows], tau)
+            banded = banded / a
+            banded[1] += inverse
+            root = cholesky_banded(banded)
+            log_determinant += 2 * float(np.sum(np.log(root[1]))) - (log_markov - n * np.log(a))
+            whitened = whitened - inverse[:, None] * cho_solve_banded((root, False), whitened)
+        gram = columns.T @ whitened
+        independent += min(float(gram[-1, -1]) / float(np.sum(inverse) * (1 - a)), 1.0) * n
+        inner += np.einsum("iaib->ab", gram[:-1, :-1].reshape(axes, p + 1, axes, p + 1))
+    return _Sums(float(inner[0, 0]), inner[1:, 0], inner[1:, 1:], axes * log_determinant, independent)
 
 
 def _own_squares(linear: Linear, a: float, tau: float, scale: float, step: Array) -> Array:
@@ -133,12 +142,15 @@ def _own_squares(linear: Linear, a: float, tau: float, scale: float, step: Array
     z = linear.residual + linear.jacobian @ step
     if a == 0.0:
         return np.asarray(np.sum(z**2, axis=1) / scale**2)
-    inverse = linear.weight / (1 - a)
-    banded = _markov_precision(linear.time_s, tau)[0] / a
-    banded[1] += inverse
-    spread = cho_solve_banded((cholesky_banded(banded), False), np.eye(len(z)))
-    own = z - spread @ (inverse[:, None] * z)
-    return np.asarray((np.sum(own**2, axis=1) / scale**2 + 3 * np.diag(spread)) / (1 - a))
+    squares = np.empty(len(z))
+    for rows in linear.parts():
+        inverse = linear.weight[rows] / (1 - a)
+        banded = _markov_precision(linear.time_s[rows], tau)[0] / a
+        banded[1] += inverse
+        spread = cho_solve_banded((cholesky_banded(banded), False), np.eye(len(rows)))
+        own = z[rows] - spread @ (inverse[:, None] * z[rows])
+        squares[rows] = (np.sum(own**2, axis=1) / scale**2 + 3 * np.diag(spread)) / (1 - a)
+    return squares
 
 
 def _markov_precision(time_s: Array, tau: float) -> tuple[Array, float]:

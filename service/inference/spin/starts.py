@@ -66,7 +66,10 @@ def pairs(frames: PassFrames, prior: MotionPrior, k: int) -> Motions:
     most = _FASTEST_SIGMAS * prior.rate_sigma
     firsts = np.flatnonzero(frames.log_weight[k, : frames.n_starts] > np.log(_LEAST_SHARE))
     q, rates = [frames.quaternion[k, m] for m in firsts], [np.zeros(3)] * len(firsts)
-    for j in sorted({k + sign * step for step in _NEIGHBOURS for sign in (1, -1)} & set(range(len(frames)))):
+    own = np.flatnonzero(frames.station == frames.station[k])  # another telescope's frame may be of the same moment
+    place = int(np.searchsorted(own, k))
+    near = {place + sign * step for step in _NEIGHBOURS for sign in (1, -1)} & set(range(len(own)))
+    for j in own[sorted(near)]:
         dt_s = float(frames.time_s[j] - frames.time_s[k])
         if dt_s == 0.0:
             continue

@@ -8,18 +8,20 @@ from service.inference.spin import noise
 from service.inference.spin.noise import Linear
 
 
-def linear(n: int, p: int) -> Linear:
+def linear(n: int, p: int, stations: int = 1) -> Linear:
     rng = np.random.default_rng(0)
     times = np.sort(rng.uniform(0, 20, n))
     given = rng.normal(size=(n, 3)), rng.normal(size=(n, 3, p)), rng.chisquare(4, n) / 4
-    return Linear(times, *given, np.array([1e-2, 1.0, 1.0, 0.5]), rng.normal(size=p))
+    station = rng.integers(0, stations, n)
+    return Linear(times, *given, np.array([1e-2, 1.0, 1.0, 0.5]), rng.normal(size=p), station)
 
 
-@pytest.mark.parametrize(("a", "tau"), [(0.0, 1.0), (0.5, 3.0), (0.8, 30.0)])
-def test_evidence_and_posterior_are_the_dense_ones(a, tau):
-    one, scale = linear(25, 4), 1.3
+@pytest.mark.parametrize(("a", "tau", "stations"), [(0.0, 1.0, 1), (0.5, 3.0, 1), (0.8, 30.0, 1), (0.8, 3.0, 2)])
+def test_evidence_and_posterior_are_the_dense_ones(a, tau, stations):
+    one, scale = linear(25, 4, stations), 1.3
     times, jacobian = one.time_s, one.jacobian.reshape(-1, 4)
-    law = a * np.exp(-np.abs(times[:, None] - times) / tau) + (1 - a) * np.diag(1 / one.weight)
+    alike = one.station[:, None] == one.station  # two telescopes err independently
+    law = a * alike * np.exp(-np.abs(times[:, None] - times) / tau) + (1 - a) * np.diag(1 / one.weight)
     errors = scale**2 * np.kron(law, np.eye(3))
     found = noise._at_scales(one, noise._sums(one, a, tau), np.array([scale]))
     step, covariance, log = (part[0] for part in found)
@@ -38,10 +40,11 @@ def test_evidence_and_posterior_are_the_dense_ones(a, tau):
     assert log + density - of_scale == pytest.approx(expected, abs=1e-6)
 
 
-def test_what_is_each_frames_own_is_the_dense_one():
-    one, a, tau, scale = linear(25, 4), 0.5, 3.0, 1.3
+@pytest.mark.parametrize("stations", [1, 3])
+def test_what_is_each_frames_own_is_the_dense_one(stations):
+    one, a, tau, scale = linear(25, 4, stations), 0.5, 3.0, 1.3
     times = one.time_s
-    stays = a * np.exp(-np.abs(times[:, None] - times) / tau)
+    stays = a * (one.station[:, None] == one.station) * np.exp(-np.abs(times[:, None] - times) / tau)
     own = (1 - a) * np.diag(1 / one.weight)
     gain = own @ np.linalg.inv(stays + own)
     left = gain @ one.residual

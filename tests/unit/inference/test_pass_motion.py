@@ -101,7 +101,7 @@ def test_modes_of_a_symmetric_body_are_one_motion():
     swapped = np.where(rng.random((40, 1, 1)) < 0.5, one.quaternion, multiply(one.quaternion, turn))
     both = np.concatenate([swapped, multiply(swapped, turn)], axis=1)
     root = np.concatenate([one.root] * 2, axis=1)
-    frames = PassFrames(times, both, root, np.full((40, 2), -np.log(2.0)), 1)
+    frames = PassFrames(times, both, root, np.full((40, 2), -np.log(2.0)), 1, np.zeros(40, np.intp))
     found = fit_pass(frames, ANY, rotations=[turn])
     assert len(found.courses()) == 1
     assert found.basins[0].explained > 0.9

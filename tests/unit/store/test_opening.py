@@ -1,5 +1,8 @@
 """A damaged file is found before the service starts, and one that was removed is not made anew beside it."""
 
+import sqlite3
+from contextlib import closing
+
 import pytest
 from test_database import begin
 
@@ -16,7 +19,9 @@ async def test_a_scrambled_file_is_refused(tmp_path):
     await begin(database)
     await database.close()
     whole = (tmp_path / FILE).read_bytes()
-    (tmp_path / FILE).write_bytes(whole[: -10 * 4096] + bytes(10 * 4096))
+    with closing(sqlite3.connect(tmp_path / FILE)) as connection:
+        page = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'estimates'").fetchone()[0]
+    (tmp_path / FILE).write_bytes(whole[: (page - 1) * 4096] + bytes(4096) + whole[page * 4096 :])
     damaged = SqliteDatabase(tmp_path, 1)
     with pytest.raises(StorageError, match="damaged"):
         await damaged.open()

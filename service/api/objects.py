@@ -1,0 +1,131 @@
+"""Routes of objects: what several sessions are of (docs/objects.md)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import Field
+
+from service.api.auth import OperateObject, Operator, Reader, ReadObject
+from service.api.bodies import read_json
+from service.api.motion import PassMotion
+from service.api.paging import page_limit, problems, stored_page
+from service.api.services import ServicesDep
+from service.api.wire import Wire
+
+router = APIRouter(prefix="/v1/objects", tags=["objects"])
+
+
+class ObjectRequest(Wire):
+    """A new object."""
+
+    name: str = Field(min_length=1, max_length=200)
+    sessions: list[str] = Field(default_factory=list, max_length=1000)
+    """That are of it already."""
+
+
+class TrackedObject(Wire):
+    """What several sessions are of: those of several telescopes, of several passes."""
+
+    object_id: str
+    name: str
+    created_at: str
+    sessions: list[str]
+    """In order of their creation."""
+
+
+class TrackedObjectList(Wire):
+    """A page of objects."""
+
+    objects: list[TrackedObject]
+    damaged: list[str]
+    next: str | None
+
+
+class ObjectMotion(PassMotion):
+    """How an object turned over a pass, by all telescopes that saw it; `session_id` is that of the first of them."""
+
+    object_id: str
+    sessions: list[str]
+    """Of this pass, in order of time."""
+    number: int = Field(alias="pass")
+    """From 0, in order of time."""
+    passes: int
+    """So many there are."""
+
+
+_REQUEST = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": ObjectRequest.model_json_schema()}},
+    }
+}
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_model=TrackedObject,
+    responses=problems(404, 413, 415, 422, 503),
+    openapi_extra=_REQUEST,
+)
+async def create_object(
+    request: Request, response: Response, caller: Operator, services: ServicesDep
+) -> dict[str, Any]:
+    """Name an object, so that sessions can be of it."""
+    wanted = await read_json(request, ObjectRequest)
+    made = await services.objects.create(caller.tenant, wanted.name, [caller.session(one) for one in wanted.sessions])
+    response.headers["Location"] = f"/v1/objects/{made['object_id']}"
+    return made
+
+
+@router.get("", response_model=TrackedObjectList, responses=problems(422))
+async def list_objects(
+    caller: Reader,
+    services: ServicesDep,
+    after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
+    limit: Annotated[int, Query(ge=1)] = 100,
+) -> Response:
+    """All objects in order of creation."""
+    limit = page_limit(limit, services.settings)
+    page = await services.objects.page(caller.tenant, after, limit)
+    return stored_page("objects", page.records, page.damaged, page.cursor, limit)
+
+
+@router.get("/{object_id}", response_model=TrackedObject, responses=problems(404))
+async def read_object(held: ReadObject, services: ServicesDep) -> dict[str, Any]:
+    """One object."""
+    return await services.objects.get(held)
+
+
+@router.delete("/{object_id}", status_code=204, responses=problems(404, 503))
+async def delete_object(held: OperateObject, services: ServicesDep) -> None:
+    """Forget an object. Its sessions stay."""
+    await services.objects.remove(held)
+
+
+@router.put("/{object_id}/sessions/{session_id}", response_model=TrackedObject, responses=problems(404, 503))
+async def join_object(held: OperateObject, session_id: str, caller: Operator, services: ServicesDep) -> dict[str, Any]:
+    """A session is of this object. It may be of several, and to say so again changes nothing."""
+    return await services.objects.join(held, caller.session(session_id))
+
+
+@router.delete("/{object_id}/sessions/{session_id}", status_code=204, responses=problems(404, 503))
+async def leave_object(held: OperateObject, session_id: str, caller: Operator, services: ServicesDep) -> None:
+    """It is of it no more."""
+    await services.objects.leave(held, caller.session(session_id))
+
+
+@router.get("/{object_id}/motion", response_model=ObjectMotion, responses=problems(404, 409, 422, 503))
+async def read_object_motion(
+    held: ReadObject,
+    services: ServicesDep,
+    number: Annotated[int | None, Query(alias="pass", ge=0, le=10**6, description="The last by default")] = None,
+) -> dict[str, Any]:
+    """How the object turned in a pass, from the frames of all telescopes that saw it.
+
+    Sessions of one pass are such as begin within half an hour of another's end. 409 unless all have one model, and the
+    camera's orientation is known in every frame: only then do they tell of one attitude, body -> GCRF.
+    """
+    return await services.objects.motion(held, number)

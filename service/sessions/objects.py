@@ -1,0 +1,103 @@
+"""Objects: what several sessions are of, and how it turned as all telescopes of a pass saw it (docs/objects.md)."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import orjson
+
+from service.errors import ConflictError, NotFoundError
+from service.sessions.frame import format_time
+from service.sessions.pass_motion import PassMotions
+from service.store import frames, objects
+from service.store.base import ObjectRecord, Page
+from service.store.database import Database
+from service.store.scope import ObjectKey, SessionKey, object_key, public_id
+
+PASS_GAP = timedelta(minutes=30)
+"""Between two passes, at least: a low orbit takes an hour and a half, and is in sight of a region for a quarter."""
+Span = tuple[datetime, datetime]  # of a session's frames
+
+
+class Objects:
+    """Stored objects. Everything raises ``NotFoundError`` for what is not there."""
+
+    def __init__(self, database: Database, motions: PassMotions) -> None:
+        self._database = database
+        self._motions = motions
+
+    async def create(self, tenant: str, name: str, sessions: Iterable[SessionKey]) -> dict[str, Any]:
+        """A new object that these sessions are of."""
+        key = object_key(tenant, str(uuid.uuid4()))
+        record = ObjectRecord(key, name, format_time(datetime.now(UTC)), tenant=tenant, sessions=tuple(sessions))
+        return object_document(await self._database.write(objects.add, record))
+
+    async def get(self, object_id: ObjectKey) -> dict[str, Any]:
+        """One object."""
+        return object_document(await self._database.read(objects.get, object_id))
+
+    async def page(self, tenant: str, after: int, limit: int) -> Page[bytes]:
+        """A tenant's objects after a cursor as JSON."""
+        found = await self._database.read(objects.page, tenant, after, limit)
+        return Page(tuple(orjson.dumps(object_document(one)) for one in found.records), found.damaged, found.cursor)
+
+    async def join(self, object_id: ObjectKey, session_id: SessionKey) -> dict[str, Any]:
+        """A session is of this object."""
+        return object_document(await self._database.write(objects.join, object_id, session_id))
+
+    async def leave(self, object_id: ObjectKey, session_id: SessionKey) -> None:
+        """It is of it no more."""
+        await self._database.write(objects.leave, object_id, session_id)
+
+    async def remove(self, object_id: ObjectKey) -> None:
+        """The object is forgotten; its sessions stay."""
+        await self._database.write(objects.remove, object_id)
+
+    async def passes(self, object_id: ObjectKey) -> list[list[tuple[SessionKey, Span]]]:
+        """The object's passes in order of time, each with the sessions that saw it and when."""
+        record = await self._database.read(objects.get, object_id)
+        spans = [(one, await self._database.read(frames.span, one)) for one in record.sessions]
+        return passes_of([(one, _span(times)) for one, times in spans if times is not None])
+
+    async def motion(self, object_id: ObjectKey, number: int | None) -> dict[str, Any]:
+        """How it turned in a pass (None: the last), by all telescopes that saw it. Raises ``ConflictError``."""
+        passes = await self.passes(object_id)
+        if not passes:
+            raise ConflictError("no session of this object has a frame yet", frames=0)
+        at = len(passes) - 1 if number is None else number
+        if at >= len(passes):
+            raise NotFoundError(f"the object has {len(passes)} passes, numbered from 0", field="query:pass")
+        sessions = [one for one, _ in passes[at]]
+        found: dict[str, Any] = orjson.loads(await self._motions.of(*sessions))
+        place = {"object_id": public_id(object_id), "pass": at, "passes": len(passes)}
+        return {**place, "sessions": [public_id(one) for one in sessions], **found}
+
+
+def passes_of(spans: Iterable[tuple[SessionKey, Span]]) -> list[list[tuple[SessionKey, Span]]]:
+    """Sessions by pass, both in order of time: between two passes nobody sees the object for ``PASS_GAP``."""
+    found: list[list[tuple[SessionKey, Span]]] = []
+    last: datetime | None = None
+    for session, (first, end) in sorted(spans, key=lambda one: one[1]):
+        if last is None or first - last >= PASS_GAP:
+            found.append([])
+        found[-1].append((session, (first, end)))
+        last = end if last is None else max(last, end)
+    return found
+
+
+def object_document(record: ObjectRecord) -> dict[str, Any]:
+    """An object as the API answers it."""
+    return {
+        "object_id": public_id(record.id),
+        "name": record.name,
+        "created_at": record.created_at,
+        "sessions": [public_id(one) for one in record.sessions],
+    }
+
+
+def _span(times: tuple[str, str]) -> Span:
+    first, last = (datetime.fromisoformat(one) for one in times)
+    return first, last
