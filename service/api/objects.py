@@ -43,6 +43,24 @@ class TrackedObjectList(Wire):
     next: str | None
 
 
+class ObjectPass(Wire):
+    """When an object was seen without a gap of half an hour, and by whom."""
+
+    number: int = Field(alias="pass")
+    """From 0, in order of time."""
+    start: str
+    end: str
+    sessions: list[str]
+    """In order of time."""
+
+
+class ObjectPasses(Wire):
+    """All passes of an object."""
+
+    object_id: str
+    passes: list[ObjectPass]
+
+
 class ObjectMotion(PassMotion):
     """How an object turned over a pass, by all telescopes that saw it; `session_id` is that of the first of them."""
 
@@ -115,6 +133,12 @@ async def join_object(held: OperateObject, session_id: str, caller: Operator, se
 async def leave_object(held: OperateObject, session_id: str, caller: Operator, services: ServicesDep) -> None:
     """It is of it no more."""
     await services.objects.leave(held, caller.session(session_id))
+
+
+@router.get("/{object_id}/passes", response_model=ObjectPasses, responses=problems(404, 503))
+async def read_object_passes(held: ReadObject, services: ServicesDep) -> dict[str, Any]:
+    """When the object was seen, and by which sessions; those without a frame are of no pass."""
+    return await services.objects.pass_list(held)
 
 
 @router.get("/{object_id}/motion", response_model=ObjectMotion, responses=problems(404, 409, 422, 503))

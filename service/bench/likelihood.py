@@ -49,7 +49,7 @@ _ANY_SUN = 1.0  # rad: what a session is told that is told no Sun
 _CLIMB = 4  # steps of the truth and of its twins
 _OFF_STEPS = 6
 _OFF_DEG, _OFF_PX, _OFF_SCALE, _OFF_SHARE = 2.0, 1.0, 0.01, 0.01  # of pose, place, scale, of a sliding joint's range
-_REPEATS = 5
+_REPEATS, _ROUGH_POSES = 5, 33
 _DRAWN, _DRAWN_SIDE, _DRAWN_QUALITY = 64, 64, Quality(supersample=3, shadow_px=256)
 _DRAWN_SPREAD = 0.02  # rad between the poses that are drawn
 
@@ -102,6 +102,7 @@ class LikelihoodRow:
     refined_err_deg: float
     in50: bool
     in90: bool
+    rough_nats: float  # of the evidence between neighbouring poses, finely
     bank_ms: float  # once a pass
     search_ms: float
     evidence_ms: float  # of one pose, finely
@@ -202,6 +203,7 @@ def _look(shared: _Pass, k: int, data: bytes, truth_frame: TruthFrame) -> Looked
         refined_err_deg=float(np.rad2deg(angle_between(back.pose.quaternion, pose.quaternion))[0]),
         in50=deviation < REGION_50,
         in90=deviation < REGION_90,
+        rough_nats=_rough_nats(found.hill, back),
         bank_ms=shared.bank_ms,
         search_ms=search_ms,
         evidence_ms=_evidence_ms(found.hill, truth),
@@ -256,6 +258,20 @@ def _values(found: Sequence[Refined]) -> Array:
 def _pictures(at: Refined) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Copies: they do not keep the rest of a fit, which is a hundred times as large."""
     return at.fit.model.copy(), at.fit.residual.copy()
+
+
+def _rough_nats(hill: Hill, at: Refined) -> float:
+    """What samples and texels leave: standard deviation of the evidence about a parabola, within one sigma of a pose.
+
+    Poses lie along a direction that is drawn; without it their evidence would be all but a parabola.
+    """
+    values, vectors = np.linalg.eigh(at.covariance)
+    drawn = np.random.default_rng(0).normal(size=len(values))
+    along = vectors @ (np.sqrt(np.maximum(values, 0.0)) * drawn / np.linalg.norm(drawn))
+    places = np.linspace(-1, 1, _ROUGH_POSES)
+    poses = retract(at.pose[np.zeros(_ROUGH_POSES, dtype=np.intp)], places[:, None] * along)
+    found = hill.log_evidences(hill.drawing.planes(poses, at.sun, hill.view, hill.quality))
+    return float(np.std(found - np.polyval(np.polyfit(places, found, 2), places)))
 
 
 def _evidence_ms(hill: Hill, at: Refined) -> float:

@@ -13,15 +13,26 @@ if TYPE_CHECKING:
 
 
 def motion(
-    session: Annotated[str, typer.Argument(help="The session's id.")],
+    session: Annotated[str | None, typer.Argument(help="The session's id.")] = None,
+    of_object: Annotated[
+        str | None, typer.Option("--object", help="Instead: an object's id; by all telescopes of a pass.")
+    ] = None,
+    number: Annotated[
+        int | None, typer.Option("--pass", min=0, help="Of the object, from 0; the last by default.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The whole answer as JSON.")] = False,
     url: Url = DEFAULT_URL,
     key: Key = None,
 ) -> None:
     """Rate, axis and period of a pass, from all its frames (docs/motion.md)."""
+    if (session is None) == (of_object is None):
+        raise typer.BadParameter("give a session, or --object", param_hint="SESSION")
     with connected(url, key) as client:
-        found = client.motion(session)
-    typer.echo(found.model_dump_json(indent=2) if as_json else "\n".join(lines(found)))
+        if of_object is not None:
+            found: PassMotion = client.object_motion(of_object, number)
+        else:
+            found = client.motion(session or "")
+    typer.echo(found.model_dump_json(indent=2, by_alias=True) if as_json else "\n".join(lines(found)))
 
 
 def lines(found: PassMotion) -> list[str]:

@@ -19,6 +19,7 @@ from service.store.scope import ObjectKey, SessionKey, object_key, public_id
 
 PASS_GAP = timedelta(minutes=30)
 """Between two passes, at least: a low orbit takes an hour and a half, and is in sight of a region for a quarter."""
+MOST_TELESCOPES = 16  # of a pass that are told in one: each brings all of its frames
 Span = tuple[datetime, datetime]  # of a session's frames
 
 
@@ -62,6 +63,19 @@ class Objects:
         spans = [(one, await self._database.read(frames.span, one)) for one in record.sessions]
         return passes_of([(one, _span(times)) for one, times in spans if times is not None])
 
+    async def pass_list(self, object_id: ObjectKey) -> dict[str, Any]:
+        """The object's passes: when, and which sessions saw it."""
+        passes = [
+            {
+                "pass": number,
+                "start": format_time(min(first for _, (first, _) in seen)),
+                "end": format_time(max(last for _, (_, last) in seen)),
+                "sessions": [public_id(one) for one, _ in seen],
+            }
+            for number, seen in enumerate(await self.passes(object_id))
+        ]
+        return {"object_id": public_id(object_id), "passes": passes}
+
     async def motion(self, object_id: ObjectKey, number: int | None) -> dict[str, Any]:
         """How it turned in a pass (None: the last), by all telescopes that saw it. Raises ``ConflictError``."""
         passes = await self.passes(object_id)
@@ -71,6 +85,8 @@ class Objects:
         if at >= len(passes):
             raise NotFoundError(f"the object has {len(passes)} passes, numbered from 0", field="query:pass")
         sessions = [one for one, _ in passes[at]]
+        if len(sessions) > MOST_TELESCOPES:
+            raise ConflictError("more telescopes than are told in one", sessions=len(sessions), limit=MOST_TELESCOPES)
         found: dict[str, Any] = orjson.loads(await self._motions.of(*sessions))
         place = {"object_id": public_id(object_id), "pass": at, "passes": len(passes)}
         return {**place, "sessions": [public_id(one) for one in sessions], **found}

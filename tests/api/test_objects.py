@@ -72,8 +72,11 @@ async def test_telescopes_of_one_pass_tell_one_motion(make_app):
             newest = await client.object_motion(made.object_id)
             alone = await client.motion(first)
         beyond = await api.http.get(f"/v1/objects/{made.object_id}/motion", params={"pass": 2})
+        passes = (await api.http.get(f"/v1/objects/{made.object_id}/passes")).json()["passes"]
     assert (found.sessions, found.number, found.passes) == ([first, second], 0, 2)
     assert (newest.sessions, newest.number) == ([later], 1)
+    assert [one["sessions"] for one in passes] == [[first, second], [later]]
+    assert (passes[0]["start"], passes[0]["end"]) == ("2026-11-20T03:04:00.000Z", "2026-11-20T03:04:12.800Z")
     assert found.relative_to == "GCRF"
     assert (found.frames.stored, found.frames.used, found.frames.explained) == (40, 40, 1.0)
     # They go on where the first one stops: what both saw is a third longer, and the rate so much better known.

@@ -21,7 +21,7 @@ from service.simulate.sequence import SimulatedPass
 
 RUNNER = CliRunner()
 SUN = np.array([0.6, 0.0, -0.8])
-ROW = LikelihoodRow("one", 0, False, True, 3.0, 2.0, 1.0, True, 0.5, True, True, 900.0, 2000.0, 6.0, 300.0)
+ROW = LikelihoodRow("one", 0, False, True, 3.0, 2.0, 1.0, True, 0.5, True, True, 0.2, 900.0, 2000.0, 6.0, 300.0)
 
 
 def test_the_prior_is_what_is_told(case_of, block):
@@ -102,6 +102,7 @@ def test_the_command(block, tmp_path, monkeypatch):
     assert (row["case"], row["frame"]) == ("one", 0)
     assert row["truth_wins"] == (row["margin_nats"] is None or row["margin_nats"] >= 0)
     assert row["refined_err_deg"] < 2.0  # a block of one material: a mirror twin or half a turn may look alike
+    assert 0 < row["rough_nats"] < 5
     assert min(row["bank_ms"], row["search_ms"], row["evidence_ms"], row["draw_us"]) > 0
     assert document["told"] == "told: the Sun (to 1°), the scale by its range" and document["overall"]["n"] == 1
     assert "truth_wins" in result.output and document["absent"] == {}

@@ -132,3 +132,8 @@ def test_motions_become_rows_and_a_line_for_each_law(tmp_path):
     document = json.loads((tmp_path / "rows.json").read_text())
     assert document["rows"][0]["truth"] == "inertially_fixed"
     assert {"right", "sure_right"} <= set(document["overall"][-1])
+    result = RUNNER.invoke(app, [*few, "--stations", "1"], env=WIDE)
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "rows.json").read_text())
+    assert document["overall"]["passes"] == 1
+    assert set(document["rows"][0]["error_deg"]) == {"first", "second", "both"}
