@@ -12,7 +12,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "e2e"))
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from server_process import Server
 
-expect.set_options(timeout=90_000)
+expect.set_options(timeout=300_000)
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 # WebGL in software; root needs no sandbox to draw our own page.
 ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"]
@@ -47,7 +47,7 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
         context = browser.new_context(viewport={"width": width, "height": height}, accept_downloads=True)
         contexts.append(context)
         page = context.new_page()
-        page.set_default_timeout(90_000)
+        page.set_default_timeout(300_000)
 
         def note(message: object) -> None:
             failed = "Failed to load resource" in str(message) or "WebSocket connection" in str(message)
