@@ -59,9 +59,9 @@ class Seen:
     lasts_s: float
 
 
-def seen_stream(rng: np.random.Generator, times: Array, q: Array) -> Seen:
+def seen_stream(rng: np.random.Generator, times: Array, q: Array, sigma_deg: float | None = None) -> Seen:
     """Frames of orientations (n, 4): each has the truth and its twin as modes, and errs alike with its neighbours."""
-    sigma_deg = float(np.exp(rng.uniform(*np.log(_SIGMAS_DEG))))
+    sigma_deg = drawn_sigma_deg(rng) if sigma_deg is None else sigma_deg
     stays, lasts_s = float(rng.choice(_STAYS)), float(rng.choice(_LASTS_S))
     widths = np.deg2rad(sigma_deg) * np.exp(rng.normal(0.0, 0.4, 3))
     errors = draw_errors(rng, times, stays, lasts_s) * widths
@@ -74,6 +74,11 @@ def seen_stream(rng: np.random.Generator, times: Array, q: Array) -> Seen:
     spreads = [np.stack([np.diag(widths**2)] * 2)] * len(times)
     weights = [np.array([p, 1 - p]) for p in preferred]
     return Seen(pass_frames(times, modes, spreads, weights), sigma_deg, stays, lasts_s)
+
+
+def drawn_sigma_deg(rng: np.random.Generator) -> float:
+    """Of a frame's orientation, as telescope and air allow."""
+    return float(np.exp(rng.uniform(*np.log(_SIGMAS_DEG))))
 
 
 def draw_motion(rng: np.random.Generator, plan: StreamPlan, *, tumbling: bool) -> Motions:

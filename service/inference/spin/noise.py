@@ -3,12 +3,13 @@
 The whitened errors z of n frames, each of three axes by itself, have the covariance s^2 K,
 K_ij = a exp(-|t_i - t_j| / tau) + (1 - a) [i = j] / u_i: a share a that stays for some tau, the rest each frame's own,
 with the weights u_i of a Student t. The first is Markov, so its precision is tridiagonal and all sums take O(n).
-Frames of two telescopes see the body from two sides: their errors are independent, under one law.
+Frames of two telescopes see the body from two sides, each through its own air: their errors are independent, and each
+has its own a, tau and s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -25,6 +26,8 @@ LASTS_S = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # prior: log-uniform from frames' 
 _AROUND = np.linspace(-2.5, 2.5, 7)  # numerical: places of s about its best, in standard deviations of its log
 _SCALE_LOG_SIGMA = 0.5  # prior: stated spreads are right within a factor 1.6
 _LEAST_STEP_S = 1e-4  # numerical: frames of one time
+_TOGETHER = 64  # numerical: laws of all stations together that are looked at
+_AXES = 3
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,18 @@ class Linear:
     precision: Array  # (P,) of the Gaussian prior
     away: Array  # (P,) from its mean
     station: NDArray[np.intp]  # (n,) frames of two of them err independently
+
+    def of(self, rows: NDArray[np.intp]) -> Linear:
+        """Some of the frames alone."""
+        return Linear(
+            self.time_s[rows],
+            self.residual[rows],
+            self.jacobian[rows],
+            self.weight[rows],
+            self.precision,
+            self.away,
+            self.station[rows],
+        )
 
     def parts(self) -> list[NDArray[np.intp]]:
         """Rows of each station."""
@@ -58,17 +73,21 @@ class Solved:
 
 
 def solve(linear: Linear) -> Solved:
-    """Marginal over a, tau and s on a grid: a mixture of Gaussians, told by its first two moments."""
+    """Marginal over a, tau and s on a grid: a mixture of Gaussians, told by its first two moments.
+
+    Each station errs by a law of its own: of each those laws are kept that explain it best.
+    """
     means, spreads, logs, facts, places = [], [], [], [], []
-    for a, tau, log_prior in _grid():
-        sums = _sums(linear, a, tau)
+    for laws in product(*_laws_of_stations(linear)):
+        sums = _together(laws)
         scales, width = _scales(linear, sums)
         mean, spread, log = _at_scales(linear, sums, scales)
         means.append(mean)
         spreads.append(spread)
-        logs.append(log + np.log(width) + log_prior)
-        facts += [(scale, a, sums.independent) for scale in scales]
-        places += [(a, tau, scale, step) for scale, step in zip(scales, mean, strict=True)]
+        logs.append(log + np.log(width) + sum(law.log_prior for law in laws))
+        own = np.average([(law.scale, law.stays) for law in laws], axis=0, weights=[law.frames for law in laws])
+        facts += [(scale * own[0], own[1], sums.independent) for scale in scales]
+        places += [(laws, scale, step) for scale, step in zip(scales, mean, strict=True)]
     found = np.concatenate(logs)
     total = float(np.logaddexp.reduce(found))
     weight = np.exp(found - total)
@@ -78,8 +97,52 @@ def solve(linear: Linear) -> Solved:
     covariance = np.einsum("g,gij->ij", weight, np.concatenate(spreads))
     covariance += np.einsum("g,gi,gj->ij", weight, apart, apart)
     scale, stays, independent = weight @ np.array(facts)
-    own = _own_squares(linear, *places[int(np.argmax(found))])
-    return Solved(mean, covariance, total, float(scale), float(stays), float(independent), own)
+    own_squares = _own_squares(linear, *places[int(np.argmax(found))])
+    return Solved(mean, covariance, total, float(scale), float(stays), float(independent), own_squares)
+
+
+@dataclass(frozen=True)
+class _Law:
+    """How one station's frames may err, and what that leaves of them."""
+
+    stays: float  # a
+    tau: float
+    log_prior: float
+    scale: float  # of this station; the one of all together comes on top
+    frames: int
+    sums: _Sums  # in units of its scale
+
+
+def _laws_of_stations(linear: Linear) -> list[list[_Law]]:
+    """Of each station: all on the grid where it is alone; else its best, each at its own best scale."""
+    parts = linear.parts()
+    kept = max(1, int(_TOGETHER ** (1 / len(parts))))
+    found = []
+    for rows in parts:
+        laws = [(a, tau, log, _sums(linear, rows, a, tau)) for a, tau, log in _grid()]
+        if len(parts) == 1:
+            found.append([_Law(a, tau, log, 1.0, len(rows), sums) for a, tau, log, sums in laws])
+            continue
+        own, tried = linear.of(rows), []
+        for a, tau, log, sums in laws:
+            scale = float(np.median(_scales(own, sums)[0]))
+            evidence = log + float(_at_scales(own, sums, np.array([scale]))[2][0])
+            wide = -0.5 * (np.log(scale) / _SCALE_LOG_SIGMA) ** 2
+            tried.append((evidence, _Law(a, tau, log + wide, scale, len(rows), sums.scaled(scale, len(rows)))))
+        found.append([law for _, law in sorted(tried, key=lambda one: -one[0])[:kept]])
+    return found
+
+
+def _together(laws: Sequence[_Law]) -> _Sums:
+    """Of independent stations."""
+    every = [law.sums for law in laws]
+    return _Sums(
+        sum(one.squares for one in every),
+        np.sum([one.slope for one in every], axis=0),
+        np.sum([one.normal for one in every], axis=0),
+        sum(one.log_determinant for one in every),
+        sum(one.independent for one in every),
+    )
 
 
 def _grid() -> Iterator[tuple[float, float, float]]:
@@ -113,43 +176,50 @@ class _Sums:
     log_determinant: float  # of K, over the axes
     independent: float
 
-
-def _sums(linear: Linear, a: float, tau: float) -> _Sums:
-    axes, p = linear.jacobian.shape[1:]
-    inner, log_determinant, independent = np.zeros((p + 1, p + 1)), 0.0, 0.0
-    for rows in linear.parts():
-        n = len(rows)
-        columns = np.concatenate([linear.residual[rows, :, None], linear.jacobian[rows]], axis=2).reshape(n, -1)
-        columns = np.column_stack([columns, np.ones(n)])
-        inverse = linear.weight[rows] / (1 - a)
-        whitened = columns * inverse[:, None]
-        log_determinant -= float(np.sum(np.log(inverse)))
-        if a > 0.0:
-            banded, log_markov = _markov_precision(linear.time_s[rows], tau)
-            banded = banded / a
-            banded[1] += inverse
-            root = cholesky_banded(banded)
-            log_determinant += 2 * float(np.sum(np.log(root[1]))) - (log_markov - n * np.log(a))
-            whitened = whitened - inverse[:, None] * cho_solve_banded((root, False), whitened)
-        gram = columns.T @ whitened
-        independent += min(float(gram[-1, -1]) / float(np.sum(inverse) * (1 - a)), 1.0) * n
-        inner += np.einsum("iaib->ab", gram[:-1, :-1].reshape(axes, p + 1, axes, p + 1))
-    return _Sums(float(inner[0, 0]), inner[1:, 0], inner[1:, 1:], axes * log_determinant, independent)
+    def scaled(self, scale: float, n: int) -> _Sums:
+        """Of n frames whose errors are so many times as large."""
+        more, squared = 2 * _AXES * n * float(np.log(scale)), scale**2
+        kept = self.log_determinant + more, self.independent
+        return _Sums(self.squares / squared, self.slope / squared, self.normal / squared, *kept)
 
 
-def _own_squares(linear: Linear, a: float, tau: float, scale: float, step: Array) -> Array:
+def _sums(linear: Linear, rows: NDArray[np.intp], a: float, tau: float) -> _Sums:
+    """Of one station's frames."""
+    n, axes, p = len(rows), *linear.jacobian.shape[1:]
+    columns = np.concatenate([linear.residual[rows, :, None], linear.jacobian[rows]], axis=2).reshape(n, -1)
+    columns = np.column_stack([columns, np.ones(n)])
+    inverse = linear.weight[rows] / (1 - a)
+    whitened = columns * inverse[:, None]
+    log_determinant = -float(np.sum(np.log(inverse)))
+    if a > 0.0:
+        banded, log_markov = _markov_precision(linear.time_s[rows], tau)
+        banded = banded / a
+        banded[1] += inverse
+        root = cholesky_banded(banded)
+        log_determinant += 2 * float(np.sum(np.log(root[1]))) - (log_markov - n * np.log(a))
+        whitened = whitened - inverse[:, None] * cho_solve_banded((root, False), whitened)
+    gram = columns.T @ whitened
+    independent = float(gram[-1, -1]) / float(np.sum(inverse) * (1 - a)) * n
+    gram = gram[:-1, :-1].reshape(axes, p + 1, axes, p + 1)
+    inner = np.einsum("iaib->ab", gram)
+    return _Sums(float(inner[0, 0]), inner[1:, 0], inner[1:, 1:], axes * log_determinant, min(independent, float(n)))
+
+
+def _own_squares(linear: Linear, laws: Sequence[_Law], scale: float, step: Array) -> Array:
     """(n,) of z less what stays, its uncertainty included: E |z - b|^2 / ((1 - a) s^2)."""
     z = linear.residual + linear.jacobian @ step
-    if a == 0.0:
-        return np.asarray(np.sum(z**2, axis=1) / scale**2)
     squares = np.empty(len(z))
-    for rows in linear.parts():
+    for rows, law in zip(linear.parts(), laws, strict=True):
+        a, s = law.stays, scale * law.scale
+        if a == 0.0:
+            squares[rows] = np.sum(z[rows] ** 2, axis=1) / s**2
+            continue
         inverse = linear.weight[rows] / (1 - a)
-        banded = _markov_precision(linear.time_s[rows], tau)[0] / a
+        banded = _markov_precision(linear.time_s[rows], law.tau)[0] / a
         banded[1] += inverse
         spread = cho_solve_banded((cholesky_banded(banded), False), np.eye(len(rows)))
         own = z[rows] - spread @ (inverse[:, None] * z[rows])
-        squares[rows] = (np.sum(own**2, axis=1) / scale**2 + 3 * np.diag(spread)) / (1 - a)
+        squares[rows] = (np.sum(own**2, axis=1) / s**2 + 3 * np.diag(spread)) / (1 - a)
     return squares
 
 

@@ -23,7 +23,8 @@ def test_evidence_and_posterior_are_the_dense_ones(a, tau, stations):
     alike = one.station[:, None] == one.station  # two telescopes err independently
     law = a * alike * np.exp(-np.abs(times[:, None] - times) / tau) + (1 - a) * np.diag(1 / one.weight)
     errors = scale**2 * np.kron(law, np.eye(3))
-    found = noise._at_scales(one, noise._sums(one, a, tau), np.array([scale]))
+    sums = noise._together([noise._Law(a, tau, 0.0, 1.0, 0, noise._sums(one, rows, a, tau)) for rows in one.parts()])
+    found = noise._at_scales(one, sums, np.array([scale]))
     step, covariance, log = (part[0] for part in found)
     inverse = np.linalg.inv(jacobian.T @ np.linalg.solve(errors, jacobian) + np.diag(one.precision))
     slope = jacobian.T @ np.linalg.solve(errors, one.residual.ravel()) + one.precision * one.away
@@ -50,4 +51,16 @@ def test_what_is_each_frames_own_is_the_dense_one(stations):
     left = gain @ one.residual
     spread = np.diag(own - gain @ own) * scale**2
     expected = (np.sum(left**2, axis=1) + 3 * spread) / ((1 - a) * scale**2)
-    np.testing.assert_allclose(noise._own_squares(one, a, tau, scale, np.zeros(4)), expected, rtol=1e-8)
+    laws = [noise._Law(a, tau, 0.0, 1.0, 0, None)] * stations
+    np.testing.assert_allclose(noise._own_squares(one, laws, scale, np.zeros(4)), expected, rtol=1e-8)
+
+
+def test_a_station_whose_errors_are_larger_is_the_same_in_units_of_its_scale():
+    one, rows = linear(25, 4), np.arange(25)
+    plain = noise._sums(one, rows, 0.5, 3.0)
+    found = noise._at_scales(one, plain, np.array([1.3]))
+    scaled = noise._at_scales(one, plain.scaled(1.3, 25), np.array([1.0]))
+    np.testing.assert_allclose(scaled[0], found[0])
+    np.testing.assert_allclose(scaled[1], found[1])
+    of_scale = -0.5 * (np.log(1.3) / noise._SCALE_LOG_SIGMA) ** 2
+    assert scaled[2][0] + of_scale == pytest.approx(found[2][0])
