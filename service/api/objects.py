@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from service.api.auth import OperateObject, Operator, Reader, ReadObject
 from service.api.bodies import read_json
-from service.api.motion import PassMotion
+from service.api.motion import PassMotion, Vector
 from service.api.paging import page_limit, problems, stored_page
 from service.api.services import ServicesDep
 from service.api.wire import Wire
@@ -59,6 +59,53 @@ class ObjectPasses(Wire):
 
     object_id: str
     passes: list[ObjectPass]
+
+
+class SpinPass(Wire):
+    """One pass of an object's spin."""
+
+    number: int = Field(alias="pass")
+    epoch: str
+    model: Literal["constant_rate", "tumbling"]
+    rate_deg_s: float
+    rate_sigma_deg_s: float
+    period_s: float
+    period_sigma_s: float
+    axis_gcrf: Vector
+    turns_since_last: float | None
+    """With their fraction; null where their number cannot be told."""
+    turns_since_last_sigma: float | None
+    """Of what was expected from all that was known: counted where it is below a sixth."""
+    swing_since_last_deg: float | None
+    """What no turn about the axis explains."""
+
+
+class SpinLeftOut(Wire):
+    """A pass that tells nothing of the spin."""
+
+    number: int = Field(alias="pass")
+    reason: str
+
+
+class ObjectSpin(Wire):
+    """How an object spins over its passes; sigmas are standard deviations. See docs/objects.md."""
+
+    object_id: str
+    epoch: str
+    """The middle of the passes: of it rate and period are told."""
+    rate_deg_s: float
+    rate_sigma_deg_s: float
+    period_s: float
+    period_sigma_s: float
+    period_change_s_per_day: float
+    period_change_sigma_s_per_day: float
+    axis_gcrf: Vector
+    axis_gcrf_sigma_deg: float
+    scale: float
+    """By which stated spreads had to be multiplied; 1 where they hold."""
+    passes: list[SpinPass]
+    left_out: list[SpinLeftOut]
+    warnings: list[str]
 
 
 class ObjectMotion(PassMotion):
@@ -153,3 +200,12 @@ async def read_object_motion(
     camera's orientation is known in every frame: only then do they tell of one attitude, body -> GCRF.
     """
     return await services.objects.motion(held, number)
+
+
+@router.get("/{object_id}/spin", response_model=ObjectSpin, responses=problems(404, 409, 503))
+async def read_object_spin(held: ReadObject, services: ServicesDep) -> dict[str, Any]:
+    """Rate, period, axis and their trend over all passes, turns counted between passes where that is safe.
+
+    409 unless a turning is seen against the stars in two passes.
+    """
+    return await services.objects.spin(held)

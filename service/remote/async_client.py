@@ -13,7 +13,7 @@ import httpx
 
 from service.api import schemas
 from service.api.motion import PassMotion
-from service.api.objects import ObjectMotion, TrackedObject
+from service.api.objects import ObjectMotion, ObjectSpin, TrackedObject
 from service.remote import calls
 from service.remote.aio import AsyncConnection
 from service.remote.calls import Arrays, Call, Image
@@ -190,6 +190,10 @@ class AsyncClient:
     async def object_motion(self, object_id: str, number: int | None = None) -> ObjectMotion:
         """How an object turned in a pass (the last by default), by all telescopes that saw it."""
         return await self.call(calls.object_motion(object_id, number))
+
+    async def object_spin(self, object_id: str) -> ObjectSpin:
+        """Rate, period, axis and their trend over all passes of an object."""
+        return await self.call(calls.get(ObjectSpin, f"/v1/objects/{object_id}/spin"))
 
     async def report(self, session_id: str) -> bytes:
         """The pass for people, as one HTML file. Raises ``ClientError`` (409) before the first frame."""

@@ -10,8 +10,10 @@ from typing import Any
 import orjson
 
 from service.errors import ConflictError, NotFoundError
+from service.inference.spin.passes import LEAST_PASSES
 from service.sessions.frame import format_time
 from service.sessions.pass_motion import PassMotions
+from service.sessions.spin_document import spin_document
 from service.store import frames, objects
 from service.store.base import ObjectRecord, Page
 from service.store.database import Database
@@ -90,6 +92,28 @@ class Objects:
         found: dict[str, Any] = orjson.loads(await self._motions.of(*sessions))
         place = {"object_id": public_id(object_id), "pass": at, "passes": len(passes)}
         return {**place, "sessions": [public_id(one) for one in sessions], **found}
+
+    async def spin(self, object_id: ObjectKey) -> dict[str, Any]:
+        """Rate, axis and their trend over all passes in which a turning is seen. Raises ``ConflictError``."""
+        count = len(await self.passes(object_id))
+        found, left_out = [], []
+        for number in range(count):
+            try:
+                one = await self.motion(object_id, number)
+            except ConflictError as error:
+                left_out.append({"pass": number, "reason": error.detail})
+                continue
+            if one["relative_to"] != "GCRF" or one["period_s"] is None:
+                reason = (
+                    "no turning is seen" if one["relative_to"] == "GCRF" else "the camera's orientation is not known"
+                )
+                left_out.append({"pass": number, "reason": reason})
+                continue
+            found.append(one)
+        if len(found) < LEAST_PASSES:
+            detail = f"a spin over passes needs {LEAST_PASSES} of them in which a turning is seen against the stars"
+            raise ConflictError(detail, passes=count, left_out=left_out)
+        return spin_document(public_id(object_id), found, left_out)
 
 
 def passes_of(spans: Iterable[tuple[SessionKey, Span]]) -> list[list[tuple[SessionKey, Span]]]:

@@ -30,15 +30,15 @@ def camera(pointing: dict[str, float]) -> np.ndarray:
 class Spinning(FakeWorker):
     """Tells of a body that spins at ``RATE`` among the stars, half a degree off in each frame and sure of that."""
 
-    camera, late_s, seed = camera(HERE), 0.0, 0
+    camera, late_s, seed, off_deg = camera(HERE), 0.0, 0, 0.5
 
     def track(self, job):
         rng = np.random.default_rng([self.seed, job.frame_index])
         fixed = exp_so3(RATE * (job.time_s + self.late_s))[None]
-        seen = multiply(fixed, exp_so3(np.deg2rad(0.5) * rng.normal(size=(1, 3))))
+        seen = multiply(fixed, exp_so3(np.deg2rad(self.off_deg) * rng.normal(size=(1, 3))))
         turn = multiply(conjugate(self.camera)[None], seen)
         pose = Poses(turn, np.zeros((1, 2)), np.zeros(1), np.zeros((1, 0)))
-        covariance = np.diag([2 * np.deg2rad(0.5) ** 2] * 3 + [0.1] * 9)[None]
+        covariance = np.diag([2 * np.deg2rad(self.off_deg) ** 2] * 3 + [0.1] * 9)[None]
         belief = Belief(job.time_s, 1.0, np.zeros(1), pose, np.zeros((1, 6)), covariance, each=True)
         report = super().track(job)
         best = replace(report.estimate.best, quaternion=turn[0])
@@ -90,6 +90,35 @@ async def test_telescopes_of_one_pass_tell_one_motion(make_app):
     off = rotation_matrices(q).T @ rotation_matrices(exp_so3(RATE * middle))
     assert np.rad2deg(np.arccos((np.trace(off) - 1) / 2)) < 4 * found.orientation_sigma_deg < 4 * 0.3
     assert beyond.status_code == 404
+
+
+async def test_the_spin_over_passes(make_app, monkeypatch):
+    """Turns are counted from orbit to orbit and not over ten days; a pass without turning is left out by name."""
+    monkeypatch.setattr(Spinning, "off_deg", 0.02)
+    starts = [0.0, 5_800.0, 11_700.0, 864_000.0]
+    async with running(make_app(Spinning)) as api:
+        sessions = [await watch(api, HERE if k % 2 else THERE, late_s=late_s) for k, late_s in enumerate(starts)]
+        short = await watch(api, HERE, late_s=2 * 86_400.0, frames=2)
+        async with AsyncClient("http://127.0.0.1", transport=api.http._transport) as client:
+            made = await client.create_object("a box", [*sessions, short])
+            found = await client.object_spin(made.object_id)
+            alone = (await client.create_object("once", sessions[:1])).object_id
+        refused = await api.http.get(f"/v1/objects/{alone}/spin")
+    rate = float(np.linalg.norm(np.rad2deg(RATE)))
+    assert [one.number for one in found.passes] == [0, 1, 2, 4]
+    assert [one.number for one in found.left_out] == [3]
+    assert "3 frames" in found.left_out[0].reason
+    turns = [one.turns_since_last for one in found.passes]
+    assert turns[0] is turns[3] is None
+    np.testing.assert_allclose(turns[1:3], [rate * 5_800 / 360, rate * 5_900 / 360], atol=0.01)
+    assert found.rate_deg_s == pytest.approx(rate, abs=5 * found.rate_sigma_deg_s)
+    assert found.rate_sigma_deg_s < 0.3 * min(one.rate_sigma_deg_s for one in found.passes)
+    assert found.period_s == pytest.approx(360 / found.rate_deg_s)
+    assert abs(found.period_change_s_per_day) < 4 * found.period_change_sigma_s_per_day
+    axis = [getattr(found.axis_gcrf, name) for name in "xyz"]
+    np.testing.assert_allclose(axis, RATE / np.linalg.norm(RATE), atol=0.01)
+    assert found.warnings[0] == "turns cannot be counted over 1 of 3 gaps: rates alone tell of these"
+    assert (refused.status_code, refused.json()["passes"]) == (409, 1)
 
 
 async def test_what_cannot_be_told_in_one_is_refused(make_app):
