@@ -9,6 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.device import DeviceReport, first_device, open_device
+from gpu.lens import NEAREST, NO_LENS, Lens, magnified
 from gpu.mesh import Mesh
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
 from gpu.shaded_faces import LANES, FaceTable, Indices, face_table
@@ -29,6 +30,7 @@ class ShadedBody:
     of ``side`` pixels whose first pixel begins at (0, 0); smaller depth is nearer. ``towards_sun`` is (3,) or (N, 3),
     in the same axes: (0, 0, -1) is a Sun behind the camera. ``supersample`` samples along each axis of a pixel are
     drawn. ``shadow_px`` is the resolution of cast shadows, texels across the body's diameter; 0: there are none.
+    ``lens``: of a pinhole camera, in pixels of the patch (``gpu.lens``).
     A pose with a number that is not finite gives zeros.
     """
 
@@ -41,7 +43,7 @@ class ShadedBody:
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
             self._memory = Scratch(self._context)
-            options = [f"-DBIAS={BIAS_TEXELS}f", f"-DSTEEPEST={STEEPEST}f"]
+            options = [f"-DBIAS={BIAS_TEXELS}f", f"-DSTEEPEST={STEEPEST}f", f"-DNEAREST={NEAREST}f"]
             program = build(self._context, *FILES, options=options)
             kernels = (cl.Kernel(program, name) for name in ("planes", "combined", "mark_seen"))
             self._planes, self._combined, self._mark_seen = kernels
@@ -85,6 +87,7 @@ class ShadedBody:
         supersample: int,
         shadow_px: int,
         gloss: tuple[float, ...] = (),
+        lens: Lens = NO_LENS,
     ) -> Numbers:
         """(N, G + 1 + L G, side, side): each group in the Sun's light, the coverage, then each lobe of each group.
 
@@ -93,7 +96,7 @@ class ShadedBody:
         """
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), self.n_groups * (1 + len(gloss)) + 1, side, side), np.float32)
-        self._launch(self._planes, given, out, (side, supersample, shadow_px), gloss, ())
+        self._launch(self._planes, given, out, (side, supersample, shadow_px), gloss, (), lens)
         return out
 
     def combined(
@@ -106,11 +109,12 @@ class ShadedBody:
         supersample: int,
         shadow_px: int,
         gloss: tuple[float, ...] = (),
+        lens: Lens = NO_LENS,
     ) -> Numbers:
         """(N, side, side) sums of the planes times ``coefficients``, (G + 1 + L G,) or (N, G + 1 + L G)."""
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), 1, side, side), np.float32)
-        self._sum(given, coefficients, out, (side, supersample, shadow_px), gloss)
+        self._sum(given, coefficients, out, (side, supersample, shadow_px), gloss, lens)
         return out[:, 0]
 
     def pictures(
@@ -121,12 +125,13 @@ class ShadedBody:
         side: int,
         supersample: int,
         shadow_px: int,
+        lens: Lens = NO_LENS,
     ) -> Numbers:
         """(N, 2, side, side): all groups in the Sun's light with ``EVEN_LIGHT`` added, and the coverage."""
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), 2, side, side), np.float32)
         alike = np.append(np.ones(self.n_groups), EVEN_LIGHT)
-        self._sum(given, alike, out, (side, supersample, shadow_px), ())
+        self._sum(given, alike, out, (side, supersample, shadow_px), (), lens)
         return out
 
     def close(self) -> None:
@@ -157,6 +162,7 @@ class ShadedBody:
         out: Numbers,
         sizes: tuple[int, int, int],
         gloss: tuple[float, ...],
+        lens: Lens,
     ) -> None:
         count, n = self.n_groups * (1 + len(gloss)) + 1, len(out)
         if coefficients.shape not in ((count,), (n, count)):
@@ -164,7 +170,7 @@ class ShadedBody:
         with device_errors(self.name):
             share = constant(self._context, np.ascontiguousarray(coefficients, np.float32))
         every = count if coefficients.ndim == 2 else 0
-        self._launch(self._combined, given, out, sizes, gloss, (share, np.int32(every), np.int32(out.shape[1])))
+        self._launch(self._combined, given, out, sizes, gloss, (share, np.int32(every), np.int32(out.shape[1])), lens)
 
     def _launch(
         self,
@@ -174,6 +180,7 @@ class ShadedBody:
         sizes: tuple[int, int, int],
         gloss: tuple[float, ...] | None,
         more: tuple[KernelArgument, ...],
+        lens: Lens = NO_LENS,
     ) -> None:
         side, supersample, shadow_px = sizes
         if min(side, supersample) < 1 or shadow_px < 0:
@@ -200,8 +207,10 @@ class ShadedBody:
             exponents = () if gloss is None else (constant(self._context, np.asarray(gloss, np.float32)),)
             counter = zero(self._context)
             scratch = self._memory.of(4 * each * items)
-            head = (*inputs, np.int32(n), *self._body, *(np.int32(v) for v in numbers), *exponents, result, scratch)
-            kernel(self._queue, (items,), (1,), *head, np.int32(each), counter, *more)
+            focal, *middle = magnified(lens, supersample)
+            seen = (np.float32(v) for v in (1 / focal, *(v - 0.5 for v in middle)))
+            head = (*inputs, np.int32(n), *self._body, *(np.int32(v) for v in numbers), *seen, *exponents)
+            kernel(self._queue, (items,), (1,), *head, result, scratch, np.int32(each), counter, *more)
             mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
             mapped.base.release(self._queue)
             self._queue.finish()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.lens import NO_LENS, Lens, magnified, seen_through, where_seen
 from gpu.mesh import Mesh
 from gpu.shaded_faces import part_box
 from gpu.zbuffer import Visible, rasterise
@@ -34,6 +35,7 @@ class Drawing:
     supersample: int
     shadow_px: int
     gloss: tuple[float, ...] = ()
+    lens: Lens = NO_LENS
 
 
 def reference_planes(
@@ -56,17 +58,19 @@ def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floa
     """(G + 1 + L G, side, side) of one pose."""
     fine = drawing.side * drawing.supersample
     placed = transforms * drawing.supersample
-    corners = mesh.placed(placed)[mesh.faces]
-    visible = rasterise(corners, fine, fine)
+    corners, lens = mesh.placed(placed)[mesh.faces], magnified(drawing.lens, drawing.supersample)
+    visible = rasterise(seen_through(corners, lens), fine, fine)
     rows, columns = np.nonzero(visible.face >= 0)
     face = visible.face[rows, columns]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    normal = np.where(normal[:, 2:] > 0, -normal, normal)  # the side that is seen
+    focal, *middle = lens
+    ray = np.column_stack([(corners[:, 0, :2] - middle) / focal, 1.0 + corners[:, 0, 2] / focal])  # to a corner
+    normal = np.where(np.sum(normal * ray, axis=1, keepdims=True) > 0, -normal, normal)  # the side that is seen
     cosine = normal @ sun
     lit = (cosine[face] > 0).astype(np.float64)
     if drawing.shadow_px and len(face):
-        lit *= _reached(_sun_view(mesh, placed, corners, sun, drawing), visible, normal, sun)
+        lit *= _reached(_sun_view(mesh, placed, corners, sun, drawing), visible, normal, sun, lens)
     n_groups = int(groups.max(initial=0)) + 1
     planes = np.zeros((n_groups * (1 + len(drawing.gloss)) + 1, fine, fine))
     planes[groups[face], rows, columns] = lit * np.maximum(cosine[face], 0.0)
@@ -105,7 +109,7 @@ def _sun_view(mesh: Mesh, placed: Floats, corners: Floats, sun: Floats, drawing:
     return _View(axes, rasterise(texels + np.array([0.5, 0.5, 0.0]), side, side).depth)
 
 
-def _reached(view: _View, visible: Visible, normal: Floats, sun: Floats) -> Floats:
+def _reached(view: _View, visible: Visible, normal: Floats, sun: Floats, lens: Lens) -> Floats:
     """(samples,) share of the Sun that reaches each sample that sees the body.
 
     The sample's depth is compared with the map's at the four texels around, each where the plane of the sample's
@@ -113,7 +117,7 @@ def _reached(view: _View, visible: Visible, normal: Floats, sun: Floats) -> Floa
     """
     rows, columns = np.nonzero(visible.face >= 0)
     face = visible.face[rows, columns]
-    points = np.column_stack([columns + 0.5, rows + 0.5, visible.depth[rows, columns]])
+    points = where_seen(np.column_stack([columns + 0.5, rows + 0.5, visible.depth[rows, columns]]), lens)
     u, v, w = view.axes[:, :3] @ points.T + view.axes[:, 3:]
     cosine = np.maximum(normal @ sun, 1e-6)
     turned = normal @ _sun_axes(sun).T

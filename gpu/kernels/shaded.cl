@@ -34,13 +34,30 @@ static void clear(__global float *to, const int count)
     for (; k < count; ++k) to[k] = 0.0f;
 }
 
+// What a camera sees of a range.
+static Range seen_range(Range range, const Sizes sizes)
+{
+    if (sizes.lens == 0.0f) return range;
+    const float middle[2] = {sizes.middle_x, sizes.middle_y};
+    const float front = 1.0f / max(1.0f + sizes.lens * range.low[2], NEAREST);
+    const float back = 1.0f / max(1.0f + sizes.lens * range.high[2], NEAREST);
+    for (int i = 0; i < 2; ++i) {
+        const float low = range.low[i] - middle[i], high = range.high[i] - middle[i];
+        range.low[i] = middle[i] + low * (low < 0.0f ? front : back);
+        range.high[i] = middle[i] + high * (high < 0.0f ? back : front);
+    }
+    range.low[2] *= front;
+    range.high[2] *= back;
+    return range;
+}
+
 // The samples that the body may cover, and how many steps of depth a sample is long in keys.
 typedef struct { float near, steps; int left, right, top, bottom; } Window;
 
 static Window window_of(const Body body, const Sizes sizes, __global const float *transforms)
 {
     const Matrix same = {{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
-    const Range range = range_of(body, transforms, same, sizes.supersample);
+    const Range range = seen_range(range_of(body, transforms, same, sizes.supersample), sizes);
     const float last = (float)sizes.fine, deep = range.high[2] - range.low[2];
     const int step = sizes.supersample;
     Window w;
@@ -66,8 +83,8 @@ static void draw_from_camera(const Body body, const Sizes sizes, const Room room
         const float hand = handedness(placed);
         for (int first = LANES * body.start[part]; first < LANES * body.start[part + 1]; first += LANES) {
             const Corners c = corners_at(body, first, placed);
-            Corners deep = c;
-            for (int k = 0; k < 3; ++k) deep.z[k] = clamp((c.z[k] - w.near) * w.steps, 0.0f, (float)DEEPEST(body));
+            Corners deep = through_lens(c, sizes);
+            for (int k = 0; k < 3; ++k) deep.z[k] = clamp((deep.z[k] - w.near) * w.steps, 0.0f, (float)DEEPEST(body));
             uint drawn = prepare(deep, hand * floats_at(body.shut + first), sizes.fine, sizes.fine, &faces);
             if (drawn && light) light_faces(body, sizes, room, *light, c, first, exponents, share);
             for (; drawn; drawn &= drawn - 1) {
@@ -89,7 +106,7 @@ static void add_to_planes(const Body body, const Sizes sizes, const Room room, c
     vstore16(face, 0, number);
     vstore16(shown, 0, bright);
     vstore16(lit, 0, reach);
-    for (int k = 0; k < LANES; ++k) {
+    for (int k = 0; k < min(LANES, sizes.fine - column); ++k) {
         if (number[k] < 0 || bright[k] == 0.0f) continue;   // turned away from the Sun, or in shadow: no gloss either
         __global float *to = pixel + (column + k) / sizes.supersample;
         const int group = body.group[number[k]];
@@ -147,10 +164,12 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
     __global const float *boxes, const int parts, const int padded, const int bits, const float radius
 #define SIZES_GIVEN \
     const int side, const int supersample, const int stride, const int shadow, const int shadow_side, \
-    const int shadow_stride, const int n_groups, const int n_gloss
+    const int shadow_stride, const int n_groups, const int n_gloss, const float lens, const float middle_x, \
+    const float middle_y
 #define BODY {corners, start, group, shut, boxes, parts, padded, bits, radius}
 #define SIZES \
-    {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_gloss}
+    {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_gloss, lens, \
+        middle_x, middle_y}
 
 // out (N, groups + 1 + groups * gloss, side, side)
 __kernel void planes(

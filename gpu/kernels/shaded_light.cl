@@ -1,7 +1,8 @@
 // The light on a body's faces, and the shadows that it casts on itself; a part of shaded.cl.
 //
 // Built with BIAS, the texels by which a face may lie deeper than the Sun's view says and be lit, and STEEPEST, beyond
-// which a face is taken to be no steeper there.
+// which a face is taken to be no steeper there; and NEAREST, the share of the distance to the body's centre within
+// which nothing is drawn as if it were nearer.
 
 #define BORDER 1.0f          // texels around the body in the Sun's view
 #define DIMMEST -23.0f       // log2 of a lobe of gloss below which it is dark: tiny numbers are slow to reckon with
@@ -10,6 +11,7 @@ typedef struct {
     int side, fine, stride;         // pixels, samples along one, and in memory
     int supersample, shadow, shadow_side, shadow_stride;
     int n_groups, n_gloss;
+    float lens, middle_x, middle_y; // of a pinhole camera: one over its focal length, its principal point (samples)
 } Sizes;
 
 typedef struct {
@@ -86,8 +88,21 @@ static Light light_of(const Body body, const Sizes sizes, __global const float *
     return light;
 }
 
+// What a camera sees of corners whose depth is counted from the body's centre, at its scale: planes stay planes.
+static Corners through_lens(Corners c, const Sizes sizes)
+{
+    if (sizes.lens == 0.0f) return c;
+    for (int k = 0; k < 3; ++k) {
+        const floats nearer = 1.0f / most_of(1.0f + sizes.lens * c.z[k], (floats)NEAREST);
+        c.x[k] = sizes.middle_x + (c.x[k] - sizes.middle_x) * nearer;
+        c.y[k] = sizes.middle_y + (c.y[k] - sizes.middle_y) * nearer;
+        c.z[k] *= nearer;
+    }
+    return c;
+}
+
 // Unit normals of sixteen faces, on the side that is seen.
-static void normals_of(const Corners c, floats *n)
+static void normals_of(const Corners c, const Sizes sizes, floats *n)
 {
     const floats ax = c.x[1] - c.x[0], ay = c.y[1] - c.y[0], az = c.z[1] - c.z[0];
     const floats bx = c.x[2] - c.x[0], by = c.y[2] - c.y[0], bz = c.z[2] - c.z[0];
@@ -96,7 +111,9 @@ static void normals_of(const Corners c, floats *n)
     n[2] = ax * by - ay * bx;
     const floats square = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
     const floats length = sqrt(most_of(square, (floats)1e-30f));
-    const floats per_length = (n[2] > 0.0f ? (floats)-1.0f : (floats)1.0f) / length;
+    const floats right = sizes.lens * (c.x[0] - sizes.middle_x), low = sizes.lens * (c.y[0] - sizes.middle_y);
+    const floats away = n[0] * right + n[1] * low + n[2] * (1.0f + sizes.lens * c.z[0]);
+    const floats per_length = (away > 0.0f ? (floats)-1.0f : (floats)1.0f) / length;
     for (int k = 0; k < 3; ++k) n[k] *= per_length;
 }
 
@@ -105,7 +122,7 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
     const int first, __global const float *exponents, __global const float *share)
 {
     floats n[3];
-    normals_of(c, n);
+    normals_of(c, sizes, n);
     const floats cosine = n[0] * light.towards.x + n[1] * light.towards.y + n[2] * light.towards.z;
     const ints facing = cosine > 0.0f;
     floats sum = facing ? cosine : 0.0f;
@@ -154,10 +171,15 @@ static void draw_from_sun(
 // How much of the Sun reaches sixteen samples: the comparison with the map's depths at the four texels around, each
 // where the face's own plane meets it, between which it fades.
 static floats reached(const Sizes sizes, const Room room, const Matrix sun, const int row, const int column,
-    const floats depth, const ints face)
+    floats depth, const ints face)
 {
-    const floats x = convert_float16(lane_numbers() + column);
-    const float y = (float)row;
+    floats x = convert_float16(lane_numbers() + column), y = (float)row;
+    if (sizes.lens != 0.0f) {
+        const floats farther = 1.0f / (1.0f - sizes.lens * depth);
+        x = sizes.middle_x + (x - sizes.middle_x) * farther;
+        y = sizes.middle_y + (y - sizes.middle_y) * farther;
+        depth *= farther;
+    }
     floats u = sun.m[0] * x + (sun.m[2] * depth + (sun.m[1] * y + sun.m[3]));
     floats v = sun.m[4] * x + (sun.m[6] * depth + (sun.m[5] * y + sun.m[7]));
     const floats w = sun.m[8] * x + (sun.m[10] * depth + (sun.m[9] * y + sun.m[11] - BIAS));

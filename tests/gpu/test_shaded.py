@@ -53,6 +53,30 @@ def test_planes_are_the_twins_but_for_samples_at_edges(name, side, supersample, 
     body.close()
 
 
+@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("lens", [(90.0, 20.0, 20.0), (60.0, -15.0, 31.5)])
+def test_a_lens_shows_what_the_twin_does(name, lens):
+    mesh = BODIES[name]
+    groups, given, sun = surface_groups(mesh), views(mesh, 8, 40), suns(np.random.default_rng(2), 8)
+    body = open_shaded(mesh, groups, drop_hidden=False)
+    found = body.planes(given, sun, **SIZES, gloss=GLOSS, lens=lens)
+    wanted = reference_planes(mesh, groups, given, sun, Drawing(*SIZES.values(), GLOSS, lens))
+    covered = wanted[:, body.n_groups] > 0
+    assert covered.sum() > 8
+    assert differing(found, wanted, covered) < 0.01
+    assert np.abs(found - wanted).sum() < 2e-3 * wanted.sum()
+    assert np.abs(found - body.planes(given, sun, **SIZES, gloss=GLOSS)).sum() > 0.05 * wanted.sum()  # not as if far
+    body.close()
+
+
+def test_from_far_away_a_lens_changes_nothing():
+    groups, given, sun = surface_groups(PANEL), views(PANEL, 4, 40), suns(np.random.default_rng(2), 4)
+    body = open_shaded(PANEL, groups)
+    near, far = (body.planes(given, sun, **SIZES, lens=(focal, 20.0, 20.0)) for focal in (1e6, np.inf))
+    assert differing(near, far, far[:, body.n_groups] > 0) < 0.01
+    body.close()
+
+
 @pytest.mark.parametrize("name", ["hubble", "iss", "suomi_npp", "tdrs"])
 def test_real_bodies_agree_with_the_twin_though_hidden_faces_are_left_out(shared, name):
     mesh = shared_mesh(shared / "data" / "meshes" / f"{name}.glb")
