@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.lens import Lens, seen_through
 from gpu.mesh import Mesh, Part
 
 Mask = NDArray[np.bool_]
@@ -22,23 +23,33 @@ def project(part: Part, transform: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.stack([((x * row[0] + y * row[1]) + z * row[2]) + row[3] for row in t[:2]], axis=1)
 
 
-def silhouette_mask(mesh: Mesh, transforms: NDArray[np.float32], shape: tuple[int, int]) -> Mask:
+def silhouette_mask(
+    mesh: Mesh, transforms: NDArray[np.float32], shape: tuple[int, int], lens: Lens | None = None
+) -> Mask:
     """(H, W) True where a pixel's centre is covered by any face, of any orientation, of any part.
 
     ``transforms`` is (P, 3, 4), body point at rest -> (x px, y px, depth). A centre exactly on an edge belongs
     to the face on its right, or below it for a level edge: neighbours share no pixel and leave none out.
+    ``lens``: of a pinhole camera.
     """
     height, width = shape
     layers = np.zeros(height * (width + 1), dtype=np.int64)  # faces that begin here, less those that end
     for part, transform in zip(mesh.parts, transforms, strict=True):
         to_centres = np.array(transform, dtype=np.float32)
         to_centres[:2, 3] -= np.float32(0.5)  # coordinates in which pixel (i, j) is the point (j, i)
-        corners = project(part, to_centres)[part.faces]
+        points = project(part, to_centres) if lens is None else _through(part, transform, lens)
+        corners = points[part.faces]
         if np.isfinite(corners).all():
             row, first, end = _spans(corners, shape)
             layers += np.bincount(row * (width + 1) + first, minlength=len(layers))
             layers -= np.bincount(row * (width + 1) + end, minlength=len(layers))
     return np.asarray(layers.reshape(height, width + 1).cumsum(axis=1)[:, :width] > 0)
+
+
+def _through(part: Part, transform: NDArray[np.float32], lens: Lens) -> Points:
+    """``project`` before a pinhole camera, in coordinates in which pixel (i, j) is the point (j, i)."""
+    placed = part.vertices @ transform[:, :3].T.astype(np.float64) + transform[:, 3]
+    return (seen_through(placed, lens)[:, :2] - 0.5).astype(np.float32)
 
 
 def _spans(corners: Points, shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

@@ -27,6 +27,8 @@ class Mount:
     mirrored: bool = False
     equinox: Equinox = "J2000"
     pixel_scale_deg: float | None = None
+    pinhole: bool = False
+    """Poses are relative to the optical axis, not to the ray to the object."""
     site: Site | None = None
 
 
@@ -52,6 +54,7 @@ class CameraOrientation:
     mirrored: bool
     pixel_scale_deg: float | None
     earth: EarthOrientation | None  # where it was used
+    pinhole: bool = False  # poses are relative to the optical axis
 
 
 def camera_orientation(pointing: Pointing, mount: Mount, moment: datetime) -> CameraOrientation | None:
@@ -76,7 +79,8 @@ def camera_orientation(pointing: Pointing, mount: Mount, moment: datetime) -> Ca
     else:
         pole, angle_deg, local = turned @ CELESTIAL_POLE, mount.up_angle_deg, False
     earth = earth_orientation(moment) if local or pointing.azimuth_deg is not None else None
-    return CameraOrientation(camera_axes(forward, pole, angle_deg, mirrored=mirrored), mirrored, scale, earth)
+    axes = camera_axes(forward, pole, angle_deg, mirrored=mirrored)
+    return CameraOrientation(axes, mirrored, scale, earth, mount.pinhole)
 
 
 def _sky_axes(pointing: Pointing, mount: Mount, moment: datetime) -> Array:

@@ -101,8 +101,8 @@ def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
     few = max(1, plan.poses // 8)
 
     def planes(n: int) -> NDArray[np.float32]:
-        sizes = {"side": side, "supersample": supersample, "shadow_px": shadow_px}
-        return body.planes(given[:n], suns[:n], **sizes, gloss=GLOSS)
+        few = given[:n], suns[:n]
+        return body.planes(*few, side=side, supersample=supersample, shadow_px=shadow_px, gloss=GLOSS)
 
     def combined(n: int, texels: int) -> NDArray[np.float32]:
         return body.combined(given[:n], suns[:n], shares, side=side, supersample=supersample, shadow_px=texels)

@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from gpu.lens import Lens
 from gpu.mesh import Mesh
 from service.bench.folder import SequenceError, SequenceFolder, upload_joints
 from service.bench.silhouette import Mask
@@ -37,6 +38,7 @@ class RealSequence:
     joints: tuple[Mapping[str, Any], ...] | None
     free: tuple[str, ...]
     truth: Mapping[int, Truth]
+    lens: Lens | None = None  # of a pinhole camera
 
 
 def find_real(folder: Path, names: Sequence[str] = (), meshes: Path | None = None) -> list[RealSequence]:
@@ -60,7 +62,8 @@ def _pinhole(path: Path) -> RealSequence:
         if frame["T_cam_obj"] is not None:
             truth[k] = _pinhole_truth(np.array(frame["T_cam_obj"], dtype=np.float64), camera, size)
     files = tuple(path / frame["file"] for frame in told["frames"])
-    return RealSequence(path.name, path / told["mesh"], files, None, (), truth)
+    lens = float(0.5 * (camera[0] + camera[1])), float(camera[2]), float(camera[3])
+    return RealSequence(path.name, path / told["mesh"], files, None, (), truth, lens)
 
 
 def _pinhole_truth(pose: Array, camera: Array, size: tuple[int, int]) -> Truth:

@@ -16,11 +16,15 @@ def real(
     border: Annotated[
         float | None, typer.Option(min=1, help="Background is this margin of frame 1, px. Default: the frames' own.")
     ] = None,
+    box: Annotated[
+        str | None, typer.Option(metavar="X,Y,W,H", help="Background is frame 1 outside of this box, px.")
+    ] = None,
+    far: Annotated[bool, typer.Option("--far", help="Leave out what is known of a pinhole camera.")] = False,
     json: Annotated[Path | None, typer.Option("--json", help="Write the rows as JSON.")] = None,
     meshes: Annotated[Path | None, typer.Option("--meshes", help="Where meshes lie, if not beside the frames.")] = None,
 ) -> None:
     """Follow real sequences from nothing but their frames, and draw frame, outline, model's image and residual."""
-    from dataclasses import asdict
+    from dataclasses import asdict, replace
 
     import orjson
     from rich.console import Console
@@ -29,13 +33,14 @@ def real(
     from service.bench.real import find_real
     from service.cli.bench import refusals
     from service.cli.own_service import own_service
-    from service.cli.real_pass import follow, line_of, page_of
+    from service.cli.real_pass import SkyFrom, follow, line_of, page_of
 
     console, rows, sections = Console(stderr=True), [], []
     with refusals():
         for sequence in find_real(folder, tuple(case or ()), meshes):
             with own_service() as client:
-                row, section = follow(client, sequence, out / sequence.name, limit, border, console)
+                chosen = replace(sequence, lens=None) if far else sequence
+                row, section = follow(client, chosen, out / sequence.name, limit, SkyFrom(box, border), console)
             rows.append(row)
             sections.append(section)
             console.print(line_of(row))

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
+from gpu.lens import NO_LENS
 from service.api.schemas import Estimate
 from service.bench.real import RealSequence
 from service.bench.silhouette import overlap
@@ -27,6 +29,14 @@ _SHOWN = 4  # frames of each sequence on the page: the first, the last and two b
 
 
 @dataclass(frozen=True)
+class SkyFrom:
+    """Where a background is known from in frame 1: outside of a box ``x,y,w,h``, or a margin, px; neither: itself."""
+
+    box: str | None = None
+    border: float | None = None
+
+
+@dataclass(frozen=True)
 class RealRow:
     """How a sequence went."""
 
@@ -39,12 +49,16 @@ class RealRow:
 
 
 def follow(
-    client: Client, sequence: RealSequence, out: Path, limit: int | None, border: float | None, console: Console
+    client: Client, sequence: RealSequence, out: Path, limit: int | None, sky: SkyFrom, console: Console
 ) -> tuple[RealRow, str]:
     """One sequence: its row, and its part of the page."""
     model = read_model_file(str(sequence.mesh), sequence.joints)
     files = sequence.frames[:limit]
-    plan = SessionPlan(sequence.mesh, None, None, border, sequence.joints, {"joints": {"free": list(sequence.free)}})
+    config: dict[str, Any] = {"joints": {"free": list(sequence.free)}}
+    if sequence.lens is not None:
+        focal, *middle = sequence.lens
+        config["camera"] = {"perspective": focal, "principal_point": middle}
+    plan = SessionPlan(sequence.mesh, None, sky.box, sky.border, sequence.joints, config)
     source = ImageSource(files[0].parent, files, len(files), None)
     summary = OfflinePass(model, plan, source, out).run(client, console)
     told = [Estimate.model_validate_json(line) for line in (out / "estimates.jsonl").read_text().splitlines()]
@@ -54,7 +68,9 @@ def follow(
         if one.index in sequence.truth:
             truth = sequence.truth[one.index](model.mesh, held)
             pose = as_poses(one.best, tuple(joint.name for joint in held.joints))
-            met[one.index] = overlap(silhouette(model.mesh, held, pose, truth.shape[::-1]), truth)
+            met[one.index] = overlap(
+                silhouette(model.mesh, held, pose, truth.shape[::-1], sequence.lens or NO_LENS), truth
+            )
     sure = [met[one.index] for one in told if one.index in met and one.status == "tracking"]
     row = RealRow(
         name=sequence.name,

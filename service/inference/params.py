@@ -131,6 +131,8 @@ class SessionConfig:
 
     def __post_init__(self) -> None:
         site = self.camera.site_latitude_deg
+        affine = self.filter.method == "bootstrap"
+        require(not affine or self.camera.perspective is None, "camera.perspective is not for bootstrap: it is affine")
         require(self.prior.orbit is None or site is not None, "prior.orbit needs the site, camera.site_latitude_deg …")
 
 

@@ -75,6 +75,12 @@ class CameraParams:
     in pixels of the whole frame; shares of the image (`prior`, `motion.position`) are those of the region."""
     binning: int = 1
     """Squares of so many pixels a side are averaged before anything else, for speed or faint objects."""
+    perspective: float | None = None
+    """Focal length of a pinhole camera, pixels of the frame: for bodies a few diameters away. `x_px`, `y_px` are then
+    where the body's centre is seen, `scale_px` is the focal length over the centre's distance, and `orientation` is
+    relative to the optical axis. Without it the body is taken to be far away."""
+    principal_point: tuple[float, float] | None = None
+    """Of that camera, `[x, y]`, pixels of the frame; without it the frame's middle."""
     transfer: Literal["linear", "srgb"] | float = "linear"
     """How light became counts, where a camera or a program has stretched them: a power p means light to the power p
     (0.45). Everything is computed from light."""
@@ -96,6 +102,10 @@ class CameraParams:
         x, y, width, height = self.roi or (0, 0, 1, 1)
         require(min(x, y) >= 0 and min(width, height) >= 1, "roi is [x, y, width, height], none of them negative")
         require(1 <= self.binning <= 64, "binning must be between 1 and 64")
+        focal, principal = self.perspective, self.principal_point
+        require(focal is None or 1 <= focal <= 1e7, "perspective is a focal length between 1 and 1e7 px")
+        require(principal is None or max(map(abs, principal)) <= 1e6, "principal_point must lie within 1e6 px")
+        require(principal is None or focal is not None, "a principal_point belongs to a focal length (perspective)")
         power = 1.0 if isinstance(self.transfer, str) else self.transfer
         require(0.1 <= power <= 10, "transfer is linear, srgb, or a power between 0.1 and 10")
 

@@ -48,6 +48,7 @@ def mount_of(params: CameraParams) -> Mount:
         mirrored=params.mirrored,
         equinox=params.equinox,
         pixel_scale_deg=None if scale is None else scale / _ARCSECONDS,
+        pinhole=params.perspective is not None,
         site=site,
     )
 
@@ -95,7 +96,7 @@ def attitude_document(view: View, pose: PoseEstimate, spread: Spread | None) -> 
     """``attitude`` of a pose as the API answers it; with ``spread``, its covariance."""
     axes = view.camera.to_gcrf
     scale = view.camera.pixel_scale_deg
-    if scale is not None:
+    if scale is not None and not view.camera.pinhole:
         right, down = (pose.position - np.array(view.centre_px)) * scale
         axes = towards(axes, float(right), float(down), mirrored=view.camera.mirrored)
     quaternion = absolute_quaternion(axes, pose.quaternion)

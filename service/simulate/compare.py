@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.lens import NO_LENS, Lens, seen_through
 from gpu.mesh import Mesh
 from gpu.zbuffer import rasterise
 from service.inference.articulation import Articulation, Joint, part_transforms
@@ -76,7 +77,9 @@ def joint_error(joint: Joint, found: float, truth: float) -> float:
     return abs((difference + 0.5 * joint.period) % joint.period - 0.5 * joint.period)
 
 
-def silhouette(mesh: Mesh, articulation: Articulation, pose: Poses, size: tuple[int, int]) -> NDArray[np.bool_]:
+def silhouette(
+    mesh: Mesh, articulation: Articulation, pose: Poses, size: tuple[int, int], lens: Lens = NO_LENS
+) -> NDArray[np.bool_]:
     """(H, W) pixels whose centre the body at a pose (one of them) covers."""
     transforms = part_transforms(articulation, pose)[0].astype(np.float64)
-    return np.asarray(rasterise(mesh.placed(transforms)[mesh.faces], *size).face >= 0)
+    return np.asarray(rasterise(seen_through(mesh.placed(transforms), lens)[mesh.faces], *size).face >= 0)

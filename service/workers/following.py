@@ -16,6 +16,7 @@ from service.inference.domain import Domain
 from service.inference.filters.given import Given
 from service.inference.filters.mixture import step
 from service.inference.light import Light
+from service.inference.model.drawing import Lens
 from service.inference.model.paint import unlearnt
 from service.inference.model.prior import GLOSS_LOBES
 from service.inference.model.search import make_bank
@@ -52,6 +53,7 @@ class Following:
         mesh: Mesh,
         articulation: Articulation,
         twins: tuple[Symmetry, ...],
+        lens: Lens | None = None,
     ) -> tuple[FilterState, Estimate, Belief | None]:
         """The posterior after a frame, the answer in pixels of the whole frame, and what the smoother keeps."""
         config = in_window(job.config)
@@ -62,7 +64,7 @@ class Following:
         key = f"{job.model}:{articulation}"
         body = self._bodies.get(key, lambda: LitBody(mesh, articulation)).body
         region = region_of(job.state, job.time_s, mesh.radius, (height, width))
-        frame = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region)
+        frame = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region, lens)
         bank = partial(self._bank, key, body, told)
         given = Given(frame, body, bank, told, config, domain, twins, job.frame_index, job.time_s)
         stream = np.array([config.filter.seed, job.frame_index], np.uint64)

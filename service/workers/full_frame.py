@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.imaging.window import Window, window_of
+from service.inference.model.drawing import Lens
 from service.inference.params import CameraParams, SessionConfig
 from service.inference.smoothed import SmoothedEstimate
 from service.inference.state import Estimate, Mode, PoseEstimate, Spread
@@ -25,6 +26,20 @@ def in_window(config: SessionConfig) -> SessionConfig:
     if camera.binning == 1 or camera.psf_sigma_px is None:
         return config
     return replace(config, camera=replace(camera, psf_sigma_px=camera.psf_sigma_px / camera.binning))
+
+
+def lens_of(camera: CameraParams, width: int, height: int, *, whole: bool = False) -> Lens | None:
+    """The pinhole camera of frames of a size, in pixels of the window; None: weak perspective.
+
+    ``whole``: in those of the whole frame.
+    """
+    if camera.perspective is None:
+        return None
+    x, y = camera.principal_point or (width / 2, height / 2)
+    if whole:
+        return Lens(camera.perspective, (x, y))
+    (left, top), b = camera.origin_px, camera.binning
+    return Lens(camera.perspective / b, ((x - left) / b, (y - top) / b))
 
 
 def scale_in_window(scale_px: tuple[float, float] | None, camera: CameraParams) -> tuple[float, float] | None:

@@ -11,6 +11,7 @@ from service.imaging.background import Sky
 from service.imaging.patch import Box, Light, Patch, Pieces, cut, find_light, light_of, pieces_of, square_around
 from service.imaging.psf import estimate_psf_sigma
 from service.inference.model import existence
+from service.inference.model.drawing import Lens
 from service.inference.model.prior import CORE_PX
 from service.inference.model.stages import Sight
 from service.inference.state import FilterState
@@ -50,9 +51,10 @@ class LightOfFrame:
         bits: int,
         psf_px: float | None,
         region: Region | None = None,
+        lens: Lens | None = None,
     ) -> None:
         self._image, self._sky, self._bits = image, sky, bits
-        self._psf_px, self._region = psf_px, region
+        self._psf_px, self._region, self._lens = psf_px, region, lens
 
     @cached_property
     def sight(self) -> Sight | None:
@@ -126,4 +128,4 @@ class LightOfFrame:
             light = self._light if self._light.covers(square_around(centre, span, wanted)) else self._whole
             return cut(light, centre, span, wanted)
 
-        return Sight(patch, span_px, psf_px)
+        return Sight(patch, span_px, psf_px, self._lens)

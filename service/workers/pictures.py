@@ -18,7 +18,7 @@ from service.imaging.psf import estimate_psf_sigma
 from service.imaging.transfer import linear
 from service.imaging.window import Window
 from service.inference.articulation import Articulation, part_transforms
-from service.inference.model.drawing import View
+from service.inference.model.drawing import Lens, View
 from service.inference.model.nuisance import Nuisance, best_spread
 from service.inference.model.prior import CORE_PX
 from service.inference.model.stages import CLEAR, FINEST, SHARP, Body, Sight, stage_hill
@@ -29,7 +29,7 @@ from service.inference.pose import repeat
 from service.inference.state import Array, PoseEstimate, Poses
 from service.workers.base import OverlayJob, Shown
 from service.workers.cache import Cache
-from service.workers.full_frame import camera_window, in_window
+from service.workers.full_frame import camera_window, in_window, lens_of
 from service.workers.lit_body import LitBody
 
 _SUNS = 64  # that are tried where none is known, 25 degrees apart: a picture for people, no measurement
@@ -56,7 +56,12 @@ class LitPictures:
         except DeviceError as error:
             raise BackendMissingError(f"the model's image is drawn by OpenCL: {error}") from error
         model, low_pass_px = model_light(
-            body, light, _in_window(_pose(job), window), job.sun, config.camera.psf_sigma_px
+            body,
+            light,
+            _in_window(_pose(job), window),
+            job.sun,
+            config.camera.psf_sigma_px,
+            lens_of(job.config.camera, width, height),
         )
         low, span = stretch_of(image.image)
         left = cv2.GaussianBlur(light.image, (0, 0), low_pass_px) - model
@@ -71,7 +76,9 @@ class LitPictures:
         self._bodies.clear()
 
 
-def model_light(body: Body, light: Light, pose: Poses, sun: Array | None, psf_px: float | None) -> tuple[Map, float]:
+def model_light(
+    body: Body, light: Light, pose: Poses, sun: Array | None, psf_px: float | None, lens: Lens | None = None
+) -> tuple[Map, float]:
     """(H, W) counts above the sky: one pose, its paint, light and point spread as they explain the frame best.
 
     They do so after a low pass, whose Gaussian sigma (px) is the second of what is returned.
@@ -80,7 +87,7 @@ def model_light(body: Body, light: Light, pose: Poses, sun: Array | None, psf_px
     width = psf_px or estimate_psf_sigma(np.asarray(np.abs(light.image) / light.sigma, np.float32)) or CORE_PX
     x, y = (float(value) for value in pose.position[0])
     span = 2 * body.fine.radius * float(np.exp(pose.log_scale[0]))
-    sight = Sight(lambda across, wanted: cut(light, (x, y), across, wanted), span, width)
+    sight = Sight(lambda across, wanted: cut(light, (x, y), across, wanted), span, width, lens)
     told, nuisance = PosePrior(towards_sun=sun), Nuisance(width)
     if sun is None:
         rough = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
@@ -95,13 +102,15 @@ def model_light(body: Body, light: Light, pose: Poses, sun: Array | None, psf_px
 
 
 def draw_silhouette(
-    mesh: Mesh, articulation: Articulation, pose: PoseEstimate, shape: tuple[int, int]
+    mesh: Mesh, articulation: Articulation, pose: PoseEstimate, shape: tuple[int, int], lens: Lens | None = None
 ) -> NDArray[np.bool_]:
     """(H, W) mask of a pose's silhouette."""
     batch = Poses(
         pose.quaternion[None], pose.position[None], np.array([np.log(pose.scale)]), np.asarray(pose.joints)[None]
     )
-    return silhouette_mask(mesh, part_transforms(articulation, batch)[0], shape)
+    return silhouette_mask(
+        mesh, part_transforms(articulation, batch)[0], shape, None if lens is None else (lens.focal, *lens.middle)
+    )
 
 
 def _pose(job: OverlayJob) -> Poses:

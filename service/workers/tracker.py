@@ -28,6 +28,7 @@ from service.imaging.transfer import linear
 from service.inference.articulation import Articulation, hold
 from service.inference.belief import belief_of
 from service.inference.domain import Domain
+from service.inference.model.drawing import Lens
 from service.inference.params import SessionConfig
 from service.inference.spin.basins import PassMotion
 from service.inference.state import Frame, Measurement, PoseEstimate
@@ -54,7 +55,7 @@ from service.workers.base import (
 from service.workers.cache import Cache
 from service.workers.decoding import Decoder, InPlace
 from service.workers.following import Following
-from service.workers.full_frame import camera_window, in_full_frame, scale_in_window
+from service.workers.full_frame import camera_window, in_full_frame, lens_of, scale_in_window
 from service.workers.image_checks import require_same, require_size
 from service.workers.machine import describe_machine
 from service.workers.motion import motion_of
@@ -126,13 +127,14 @@ class Tracker:
         began = time.perf_counter()
         whole = self._decoder.frame(job.body, job.media_type, job.config.camera.ser_byte_order)
         camera = job.config.camera
-        image = camera_window(camera, *require_size(whole, job.size)).cut(linear(whole, camera.transfer))
+        size = require_size(whole, job.size)
+        image = camera_window(camera, *size).cut(linear(whole, camera.transfer))
         sky = self._sky(job.config, job.background, job.blobs)
         require_same(image, sky.mean.shape, sky.spec.bits)
         decoded = time.perf_counter()
         if job.config.filter.method == "bootstrap":
             return self._bootstrap(job, image, sky, began, decoded)
-        return self._follow(job, image, sky, began, decoded)
+        return self._follow(job, image, sky, lens_of(camera, *size), began, decoded)
 
     def _bootstrap(self, job: FrameJob, image: Image, sky: Sky, began: float, decoded: float) -> FrameReport:
         """A frame of the published filter."""
@@ -167,12 +169,14 @@ class Tracker:
         }
         return FrameReport(state, estimate, {k: round(v * 1e3, 3) for k, v in timing.items()}, scored_by, belief)
 
-    def _follow(self, job: FrameJob, image: Image, sky: Sky, began: float, decoded: float) -> FrameReport:
+    def _follow(
+        self, job: FrameJob, image: Image, sky: Sky, lens: Lens | None, began: float, decoded: float
+    ) -> FrameReport:
         """A frame of the filter that follows the light. Raises ``BackendMissingError``, ``ScorerFailedError``."""
         articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
         mesh, twins = self._mesh(job.model, job.file_type, job.blobs), self._held_twins(job, articulation)
         try:
-            state, estimate, belief = self._following.track(job, image, sky, mesh, articulation, twins)
+            state, estimate, belief = self._following.track(job, image, sky, mesh, articulation, twins, lens)
         except DeviceLostError as error:
             self._following.close()  # what it kept was on that device
             raise ScorerFailedError(str(error)) from error
@@ -205,7 +209,8 @@ class Tracker:
         if mesh is not None and "overlay" in job.show:
             pose = PoseEstimate(job.quaternion, job.position, job.scale, job.joints)
             height, width = image.image.shape[:2]
-            mask = draw_silhouette(mesh, job.articulation, pose, (height, width))
+            lens = lens_of(job.config.camera, width, height, whole=True)
+            mask = draw_silhouette(mesh, job.articulation, pose, (height, width), lens)
             drawn["overlay"] = draw_overlay(image.image, mask)
         if mesh is not None and {"model", "residual"} & set(job.show):
             assert job.background is not None, "what is left over is left over of the light above a sky"

@@ -1,7 +1,8 @@
 """Derivatives of a drawn and blurred picture by what draws it (docs/model.md, section 3).
 
 A body that moves across, grows, or turns about the line of sight gives the same picture elsewhere; in the last case
-under a Sun that turns the other way. Only turns about the image's own axes, joints and the Sun are drawn.
+under a Sun that turns the other way. Only turns about the image's own axes, joints and the Sun are drawn. Through a
+lens that is not so: then everything is drawn.
 """
 
 from __future__ import annotations
@@ -58,19 +59,20 @@ def derivatives(
     """
     n, j = len(poses), poses.joints.shape[1]
     turn, joint = steps_of(drawing, view, difference, poses)
+    if view.lens is not None:
+        place = np.full((n, 2), difference * view.binning)
+        steps = np.concatenate([np.repeat(turn[:, None], 3, 1), place, turn[:, None], joint], axis=1)
+        return _through_lens(drawing, view, quality, blur, poses, suns, coefficients, steps, sun_free)
     rotation = rotation_matrices(poses.quaternion)
     turned = 2 if sun_free else 3  # axes of the camera about which a turn is drawn
     suns_moved = 2 if sun_free else 0
     drawn = turned + j + suns_moved
-    moves, moved_suns = np.zeros((n, 2, drawn, 6 + j)), np.tile(suns[:, None, None], (1, 2, drawn, 1))
+    moves = np.zeros((n, 2, drawn, 6 + j))
     for k in range(turned):
         moves[:, 0, k, :3] = turn[:, None] * rotation[:, k]  # about the camera's axis k, seen from the body
     moves[:, 0, turned + np.arange(j), 6 + np.arange(j)] = joint
     moves[:, 1] = -moves[:, 0]
-    if sun_free:
-        for k, sun in enumerate(suns):
-            both = np.stack([sun + _SUN_STEP * across(sun), sun - _SUN_STEP * across(sun)])
-            moved_suns[k, :, -2:] = both / np.linalg.norm(both, axis=-1, keepdims=True)
+    moved_suns = _suns_of(suns, drawn, sun_free)
     start = poses[np.repeat(np.arange(n), 2 * drawn)]
     moved = concatenate(retract(start, moves.reshape(-1, 6 + j)), poses)
     shares = np.concatenate([np.repeat(coefficients, 2 * drawn, axis=0), coefficients])
@@ -79,6 +81,41 @@ def derivatives(
     gaps = np.concatenate([np.repeat(turn[:, None], turned, 1), joint, np.full((n, suns_moved), _SUN_STEP)], axis=1)
     slopes = spread((images[:, 0] - images[:, 1]) * _per(0.5 / gaps), *blur)
     return _assembled(slopes, _of_places(here, blur, poses, view), rotation, suns, view, sun_free, j)
+
+
+def _suns_of(suns: Array, drawn: int, sun_free: bool) -> Array:
+    """(N, 2, drawn, 3) Suns of differences, of which the last two are the Sun's own where it is free."""
+    out = np.tile(suns[:, None, None], (1, 2, drawn, 1))
+    for k, sun in enumerate(suns if sun_free else ()):
+        both = np.stack([sun + _SUN_STEP * across(sun), sun - _SUN_STEP * across(sun)])
+        out[k, :, -2:] = both / np.linalg.norm(both, axis=-1, keepdims=True)
+    return out
+
+
+def _through_lens(
+    drawing: Drawing,
+    view: View,
+    quality: Quality,
+    blur: tuple[PointSpread, float],
+    poses: Poses,
+    suns: Array,
+    coefficients: Images,
+    steps: Array,
+    sun_free: bool,
+) -> Images:
+    """``derivatives`` of which all are differences; ``steps`` (N, 6 + J) of the pose."""
+    n, d = steps.shape
+    suns_moved = 2 if sun_free else 0
+    drawn = d + suns_moved
+    moves = np.zeros((n, 2, drawn, d))
+    moves[:, 0, np.arange(d), np.arange(d)] = steps
+    moves[:, 1] = -moves[:, 0]
+    moved = retract(poses[np.repeat(np.arange(n), 2 * drawn)], moves.reshape(-1, d))
+    shares = np.repeat(coefficients, 2 * drawn, axis=0)
+    images = drawing.combined(moved, _suns_of(suns, drawn, sun_free).reshape(-1, 3), shares, view, quality)
+    images = images.reshape(n, 2, drawn, view.side, view.side)
+    gaps = np.concatenate([steps, np.full((n, suns_moved), _SUN_STEP)], axis=1)
+    return spread((images[:, 0] - images[:, 1]) * _per(0.5 / gaps), *blur)
 
 
 def _of_places(here: Images, blur: tuple[PointSpread, float], poses: Poses, view: View) -> Images:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation, part_transforms
 from service.inference.model.prior import GLOSS_LOBES
+from service.inference.pose import multiply
 from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
@@ -27,6 +28,7 @@ class Shaded(Protocol):
         supersample: int,
         shadow_px: int,
         gloss: tuple[float, ...] = ...,
+        lens: tuple[float, float, float] = ...,
     ) -> Images:
         """(N, P, 3, 4) transforms to the patch -> (N, Q, side, side): groups, even light, gloss of groups."""
         ...
@@ -41,6 +43,7 @@ class Shaded(Protocol):
         supersample: int,
         shadow_px: int,
         gloss: tuple[float, ...] = ...,
+        lens: tuple[float, float, float] = ...,
     ) -> Images:
         """(N, P, 3, 4) transforms and (Q,) or (N, Q) coefficients -> (N, side, side) sums of the planes."""
         ...
@@ -83,12 +86,40 @@ FINE = Quality(supersample=8, shadow_px=512)  # fewer samples are felt: the disc
 
 
 @dataclass(frozen=True)
+class Lens:
+    """A pinhole camera, frame px: its focal length and principal point."""
+
+    focal: float
+    middle: tuple[float, float]
+
+    def aimed(self, poses: Poses) -> Poses:
+        """Poses that were told as if each were looked at along the optical axis."""
+        ray = np.column_stack([(poses.position - self.middle) / self.focal, np.ones(len(poses))])
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        turn = np.column_stack([1 + ray[:, 2], -ray[:, 1], ray[:, 0], np.zeros(len(poses))])  # the axis to the ray
+        turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+        return replace(poses, quaternion=multiply(turn, poses.quaternion))
+
+
+@dataclass(frozen=True)
 class View:
-    """A square of the frame: its first corner (frame px), frame px per patch px, patch px a side."""
+    """A square of the frame: its first corner (frame px), frame px per patch px, patch px a side.
+
+    ``lens``: of a pinhole camera; None: weak perspective.
+    """
 
     origin: tuple[float, float]
     binning: float
     side: int
+    lens: Lens | None = None
+
+    @property
+    def patch_lens(self) -> tuple[float, float, float]:
+        """Focal length and principal point, patch px (``gpu.lens``)."""
+        if self.lens is None:
+            return float("inf"), 0.0, 0.0
+        (x, y), (left, top) = self.lens.middle, self.origin
+        return self.lens.focal / self.binning, (x - left) / self.binning, (y - top) / self.binning
 
 
 @dataclass(frozen=True)
@@ -116,6 +147,7 @@ class Drawing:
             supersample=quality.supersample,
             shadow_px=quality.shadow_px,
             gloss=quality.gloss,
+            lens=view.patch_lens,
         )
 
     def combined(self, poses: Poses, sun: Array, coefficients: Images, view: View, quality: Quality) -> Images:
@@ -128,4 +160,5 @@ class Drawing:
             supersample=quality.supersample,
             shadow_px=quality.shadow_px,
             gloss=quality.gloss,
+            lens=view.patch_lens,
         )

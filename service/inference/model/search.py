@@ -122,6 +122,8 @@ def started(
     """From templates to the basins of the roughest stage."""
     first = sight.cut(sight.span, MIDDLE.wanted)
     some = propose(bank, first, told)
+    if sight.lens is not None:
+        some = replace(some, poses=sight.lens.aimed(some.poses))
     if not len(some.found):
         return some
     if rng is not None:

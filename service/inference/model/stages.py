@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.inference.model.drawing import FINE, Drawing, Quality, View
+from service.inference.model.drawing import FINE, Drawing, Lens, Quality, View
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.scene import Scene
 from service.inference.numerics.hill import Hill, Trust
@@ -62,6 +62,7 @@ class Sight:
     cut: Callable[[float, float], PatchLike]  # span (px) that the light fills, patch px that it should fill -> patch
     span: float  # of the light, px
     psf: float  # first guess of the point spread's width, px
+    lens: Lens | None = None
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def stage_hill(
         max(grain * stage.low_pass, 0.7 * spread.width),
         grain=grain,
     )
-    view = View(patch.origin, patch.binning, len(patch.image))
+    view = View(patch.origin, patch.binning, len(patch.image), sight.lens)
     free = speckle or told.towards_sun is None
     rounds = 6 if speckle else COARSE_ROUNDS
     return Hill(scene, drawing, view, told, stage.quality, stage.difference, free, rounds, stage.trust)

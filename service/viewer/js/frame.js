@@ -9,6 +9,12 @@ import { COLOURS } from "./tone.js";
 const ZOOM_MARGIN = 1.25; // width of the zoomed view, in widths of the body
 const BESIDE = ["model", "residual"], BESIDE_REST_MS = 300; // they cost the service more than the frame does
 
+// A pinhole camera: focal length and principal point, px; null: the body is far away.
+function lensOf(session, { width, height }) {
+  const { perspective, principal_point: point } = session?.camera ?? {};
+  return perspective ? { focal: perspective, x: point?.[0] ?? width / 2, y: point?.[1] ?? height / 2 } : null;
+}
+
 export class FrameView {
   // `wide(whether)`: room is wanted for the pictures beside the frame
   constructor(figure, api, wide) {
@@ -115,7 +121,7 @@ export class FrameView {
   draw(width, height) {
     const view = this.size && this.window(width, height);
     this.picture.draw(width, height, view);
-    if (view) this.outlines.draw(width, height, view, this.lines());
+    if (view) this.outlines.draw(width, height, view, this.lines(), lensOf(this.session, this.size));
     else this.outlines.draw(width, height, { left: 0, right: 1, top: 0, bottom: 1 }, []);
   }
 

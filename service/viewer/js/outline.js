@@ -63,7 +63,8 @@ export class Outlines {
   }
 
   // `window`: the part of the image that is seen, px. `lines`: [{pose, colour, width, strength, tint}], last on top.
-  draw(width, height, window, lines) {
+  // `lens`: {focal, x, y} of a pinhole camera, px, or null.
+  draw(width, height, window, lines, lens = null) {
     if (!this.renderer) return;
     fitRenderer(this.renderer, width, height);
     this.renderer.setRenderTarget(null);
@@ -72,18 +73,16 @@ export class Outlines {
     const size = this.renderer.getDrawingBufferSize(new Vector2());
     this.target.setSize(size.x, size.y);
     this.edge.uniforms.pixel.value.set(1 / size.x, 1 / size.y);
-    const { left, top, right, bottom } = window;
-    Object.assign(this.camera, { left, right, top: -top, bottom: -bottom });
-    for (const line of lines) this.drawOne(line, size.x / width);
+    for (const line of lines) this.drawOne(line, size.x / width, window, lens);
   }
 
-  drawOne({ pose, colour, width, strength, tint }, ratio) {
+  drawOne({ pose, colour, width, strength, tint }, ratio, window, lens) {
     const reach = pose.scale_px * this.body.radius * 4 + 1; // joints may carry parts out of the sphere at rest
-    Object.assign(this.camera, { near: -reach, far: reach });
-    this.camera.updateProjectionMatrix();
+    if (lens) this.lookThrough(lens, window, reach);
+    else this.lookFromAfar(window, reach);
     this.body.setJoints(this.group, pose.joints);
     this.group.quaternion.copy(onScreen(pose.orientation));
-    this.group.position.set(pose.x_px, -pose.y_px, 0);
+    this.group.position.set(pose.x_px - (lens?.x ?? 0), (lens?.y ?? 0) - pose.y_px, lens ? -lens.focal : 0);
     this.group.scale.setScalar(pose.scale_px);
     this.renderer.setRenderTarget(this.target);
     this.renderer.clear();
@@ -95,5 +94,18 @@ export class Outlines {
     uniforms.tint.value = tint;
     uniforms.colour.value.setStyle(colour, ""); // as it stands: what is drawn goes to the screen without conversion
     this.renderer.render(this.sheet, this.camera);
+  }
+
+  lookFromAfar({ left, top, right, bottom }, reach) {
+    Object.assign(this.camera, { left, right, top: -top, bottom: -bottom, near: -reach, far: reach });
+    this.camera.updateProjectionMatrix();
+  }
+
+  // A pixel is one long where the body's centre is, the focal length away.
+  lookThrough({ focal, x, y }, { left, top, right, bottom }, reach) {
+    const near = Math.max(focal - reach, 0.05 * focal), share = near / focal;
+    const sides = [share * (left - x), share * (right - x), share * (y - top), share * (y - bottom)];
+    this.camera.projectionMatrix.makePerspective(...sides, near, focal + reach);
+    this.camera.projectionMatrixInverse.copy(this.camera.projectionMatrix).invert();
   }
 }

@@ -19,7 +19,7 @@ from service.inference.filters.status import SURE, status_of, told_existence
 from service.inference.filters.weighing import born
 from service.inference.model import prior
 from service.inference.model import search as searching
-from service.inference.model.drawing import View
+from service.inference.model.drawing import Lens, View
 from service.inference.model.existence import of_this_body, usual_chi2
 from service.inference.model.search import make_bank
 from service.inference.model.spread import PointSpread, spread
@@ -41,7 +41,8 @@ RATE = np.array([[0.12, -0.2, 0.1, 5.0, -3.0, 0.0]])  # rad and px per s
 class Drawn(LightOfFrame):
     """A frame whose sky is known to be even."""
 
-    def __init__(self, image: np.ndarray) -> None:
+    def __init__(self, image: np.ndarray, lens: Lens | None = None) -> None:
+        self._lens = lens
         self._whole = Light(image.astype(np.float32), SIGMA, 1e-3, 1.0, np.zeros(image.shape, bool))
         self._psf_px, self._region = 1.3, None
 
@@ -72,11 +73,11 @@ def truth(k: int) -> Poses:
     return retract(start, RATE * DT_S * k)
 
 
-def frame(k: int, gain: float = 700.0) -> Drawn:
+def frame(k: int, gain: float = 700.0, lens: Lens | None = None) -> Drawn:
     drawing = body().fine
-    picture = drawing.combined(truth(k), SUN, shares(drawing, gain), View((0.0, 0.0), 1.0, SIZE), QUALITY)
+    picture = drawing.combined(truth(k), SUN, shares(drawing, gain), View((0.0, 0.0), 1.0, SIZE, lens), QUALITY)
     noise = np.random.default_rng(k).normal(0, SIGMA, (SIZE, SIZE))
-    return Drawn(spread(picture, PointSpread(1.3), 0.0)[0] + noise)
+    return Drawn(spread(picture, PointSpread(1.3), 0.0)[0] + noise, lens)
 
 
 def given(light: Drawn, k: int) -> Given:
@@ -114,6 +115,16 @@ def test_a_body_is_found_followed_and_its_rates_are_known():
         assert estimate.probabilities.sum() == pytest.approx(1.0)
         assert estimate.fit.explained > 0.8 and estimate.fit.covered_dark < 0.5
         assert sum(mode.weight for mode in estimate.modes) == pytest.approx(1.0)
+
+
+def test_a_body_two_diameters_away_is_found_through_its_lens():
+    """Half of it is seen larger by a third than the other, from 20 degrees aside."""
+    lens, state = Lens(100.0, (32.0, 72.0)), None
+    for k in range(2):
+        state, estimate = advance(state, frame(k, lens=lens), k)
+        assert error_deg(estimate, k) < 2.0
+        assert np.abs(estimate.best.position - truth(k).position[0]).max() < 0.3
+    assert estimate.status == "tracking"
 
 
 def test_an_empty_frame_shows_no_target_and_the_body_is_found_again():

@@ -7,7 +7,7 @@ import pytest
 from lit_body import SUN, VIEW, lit_body, pose, shares
 
 from service.inference.model.derivatives import across, derivatives, steps_of
-from service.inference.model.drawing import Quality
+from service.inference.model.drawing import Lens, Quality, View
 from service.inference.model.spread import PointSpread, spread
 from service.inference.pose import concatenate, retract
 from service.inference.state import Poses
@@ -17,20 +17,21 @@ BLUR = (PointSpread(1.3, 0.6), 0.9)
 OTHER_SUN = np.array([-0.4, 0.5, -0.2]) / np.linalg.norm([-0.4, 0.5, -0.2])
 
 
-def blurred(at: Poses, sun: np.ndarray, light: np.ndarray) -> np.ndarray:
-    return spread(lit_body().combined(at, sun, light, VIEW, FINE), *BLUR)[0].astype(float)
+def blurred(at: Poses, sun: np.ndarray, light: np.ndarray, view: View) -> np.ndarray:
+    return spread(lit_body().combined(at, sun, light, view, FINE), *BLUR)[0].astype(float)
 
 
-def by_hand(at: Poses, sun: np.ndarray, light: np.ndarray, sun_free: bool) -> np.ndarray:
+def by_hand(at: Poses, sun: np.ndarray, light: np.ndarray, sun_free: bool, view: View = VIEW) -> np.ndarray:
     turn, joint = steps_of(lit_body(), VIEW, 0.5, at)
     out = []
     for k, step in enumerate([turn[0], turn[0], turn[0], 0.5, 0.5, turn[0], joint[0, 0]]):
         move = np.zeros((1, 7))
         move[0, k] = step
-        out.append((blurred(retract(at, move), sun, light) - blurred(retract(at, -move), sun, light)) / (2 * step))
+        pictures = [blurred(retract(at, sign * move), sun, light, view) for sign in (1, -1)]
+        out.append((pictures[0] - pictures[1]) / (2 * step))
     for axis in across(sun) if sun_free else ():
         both = [(sun + sign * 0.03 * axis) / np.linalg.norm(sun + sign * 0.03 * axis) for sign in (1, -1)]
-        out.append((blurred(at, both[0], light) - blurred(at, both[1], light)) / 0.06)
+        out.append((blurred(at, both[0], light, view) - blurred(at, both[1], light, view)) / 0.06)
     return np.array(out)
 
 
@@ -46,6 +47,18 @@ def test_they_are_those_of_whole_pictures(sun, sun_free):
         wanted = by_hand(both[k : k + 1], sun, light, sun_free)
         error = np.sqrt(((found[k] - wanted) ** 2).mean(axis=(1, 2)) / (wanted**2).mean(axis=(1, 2)))
         assert error.max() < 0.06, error
+
+
+@pytest.mark.parametrize("sun_free", [True, False])
+def test_so_they_are_through_a_lens(sun_free):
+    view, at = replace(VIEW, lens=Lens(90.0, (150.0, 70.0))), pose()
+    light = shares(lit_body(), 300.0)
+    given = at, SUN[None], light[None]
+    found = derivatives(lit_body(), view, FINE, BLUR, *given, difference=0.5, sun_free=sun_free)[0]
+    wanted = by_hand(at, SUN, light, sun_free, view)
+    assert found.shape == wanted.shape
+    assert np.abs(found - wanted).max() < 1e-3 * np.abs(wanted).max()
+    assert not np.allclose(found[5], by_hand(at, SUN, light, sun_free)[5], atol=0.1 * np.abs(wanted[5]).max())
 
 
 def test_places_are_those_of_the_frame_where_pixels_are_binned():
