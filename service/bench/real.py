@@ -1,8 +1,8 @@
 """Real camera sequences of a known mesh: what is known of their truth, and how an answer's silhouette meets it.
 
 A folder with ``case.json`` is one of ``skypose bench track``. One with ``sequence.json`` has ``mesh``, ``width``,
-``height``, ``intrinsics`` (fx, fy, cx, cy: a pinhole camera, px) and ``frames``, each with ``file`` and ``T_cam_obj``:
-the (4, 4) matrix from mesh to camera (x right, y down, z ahead), or null.
+``height``, ``intrinsics`` (fx, fy, cx, cy: a pinhole camera, px from the first pixel's centre) and ``frames``, each
+with ``file`` and ``T_cam_obj``: the (4, 4) matrix from mesh to camera (x right, y down, z ahead), or null.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def _pinhole(path: Path) -> RealSequence:
         if frame["T_cam_obj"] is not None:
             truth[k] = _pinhole_truth(np.array(frame["T_cam_obj"], dtype=np.float64), camera, size)
     files = tuple(path / frame["file"] for frame in told["frames"])
-    lens = float(0.5 * (camera[0] + camera[1])), float(camera[2]), float(camera[3])
-    return RealSequence(path.name, path / told["mesh"], files, None, (), truth, lens)
+    focal, x, y = 0.5 * (camera[0] + camera[1]), *(camera[2:] + 0.5)  # from the first pixel's corner
+    return RealSequence(path.name, path / told["mesh"], files, None, (), truth, (float(focal), float(x), float(y)))
 
 
 def _pinhole_truth(pose: Array, camera: Array, size: tuple[int, int]) -> Truth:

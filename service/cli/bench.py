@@ -35,6 +35,7 @@ Size = Annotated[str | None, typer.Option(help="Of simulated images; else 256x25
 Frames = Annotated[int | None, typer.Option(min=1, help="Of each simulated pass; else 40, mixed 14.")]
 Materials = Annotated[str | None, typer.Option(help="Of simulated passes: painted, or mixed as real ones are.")]
 Root = Annotated[Path | None, typer.Option("--meshes", help="Where the sequences' meshes lie, if not beside them.")]
+Settled = Annotated[int, typer.Option("--from", min=0, help="Visible frames that count for acquisition only.")]
 Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE for all sessions; may be repeated.")]
 
 bench.command()(scorers)
@@ -65,7 +66,7 @@ def track(
     materials: Materials = None,
     meshes: Root = None,
     settings: Set = None,
-    settled: Annotated[int, typer.Option("--from", min=0, help="Visible frames that count for acquisition only.")] = 10,
+    settled: Settled = 10,
     nosun: Annotated[bool, typer.Option("--nosun", help="Do not tell the sessions where the Sun stands.")] = False,
     sun_off: Annotated[float, typer.Option(help="Tell them wrongly, by so many degrees.")] = 0.0,
     known_range: Annotated[bool, typer.Option("--range", help="Tell them the scale as a range gives it.")] = False,
@@ -104,6 +105,7 @@ def ablate(
     materials: Materials = None,
     meshes: Root = None,
     settings: Set = None,
+    settled: Settled = 10,
 ) -> None:
     """The default preset with each of its choices switched off, one at a time."""
     from service.bench.runner import Terms
@@ -114,7 +116,7 @@ def ablate(
         selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials)
         entries = variant_entries(variant or (), settings or ())
         title = "Each choice switched off"
-        run_benchmark(selection, entries, Terms(limit), Output(title, command_line(), json, report))
+        run_benchmark(selection, entries, Terms(limit, settled), Output(title, command_line(), json, report))
 
 
 @contextmanager
