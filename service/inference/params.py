@@ -113,6 +113,14 @@ class JointParams:
     """Names of the joints to estimate, or `all`. The others stay at their initial value."""
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Values of joints that are known: degrees (revolute) or model units (prismatic)."""
+    sun_tracking: tuple[str, ...] = ()
+    """Hinges among the free ones that turn panels towards the Sun, each as far as its axis lets it. Either side of a
+    panel may be the one that faces it."""
+    sun_tracking_sigma_deg: float = 10.0
+    """Standard deviation of what is left between them."""
+
+    def __post_init__(self) -> None:
+        require(0.1 <= self.sun_tracking_sigma_deg <= 180, "sun_tracking_sigma_deg must lie in [0.1, 180]")
 
 
 @dataclass(frozen=True)

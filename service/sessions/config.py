@@ -78,7 +78,8 @@ def without_retired(sections: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[
 def unused(sections: Mapping[str, Any], config: SessionConfig) -> tuple[str, ...]:
     """A sentence on each thing that was chosen for the other method."""
     if config.filter.method == "bootstrap":
-        return ()
+        tracking = bool(config.joints.sun_tracking)
+        return ("joints.sun_tracking is not for bootstrap, and is not used",) if tracking else ()
     chosen = [name for name in ("backend", "resampler", "step") if name in sections.get("filter", {})]
     return tuple(f"filter.{name} is for bootstrap, and is not used" for name in chosen)
 
@@ -108,6 +109,11 @@ def check_joints(config: SessionConfig, articulation: Articulation) -> tuple[str
                 minimum=joint.minimum,
                 maximum=joint.maximum,
             )
+    for name in config.joints.sun_tracking:
+        if name not in free:
+            raise ConfigError(f"{name!r} is no free joint that could track the Sun", field="joints.sun_tracking")
+        if known[name].kind != "revolute":
+            raise ConfigError(f"joint {name!r} slides: it cannot track the Sun", field="joints.sun_tracking")
     resting = [name for name in known if name not in free and name not in config.joints.fixed]
     if not resting:
         return ()

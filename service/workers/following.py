@@ -21,6 +21,7 @@ from service.inference.model.paint import unlearnt
 from service.inference.model.prior import GLOSS_LOBES
 from service.inference.model.search import make_bank
 from service.inference.model.stages import Body
+from service.inference.model.sun_tracking import SunTracking
 from service.inference.model.templates import Bank
 from service.inference.numerics.priors import PosePrior
 from service.inference.params import SessionConfig
@@ -31,6 +32,7 @@ from service.workers.cache import Cache
 from service.workers.full_frame import in_full_frame, in_window, scale_in_window
 from service.workers.lit_body import LitBody
 from service.workers.lit_frame import LightOfFrame, region_of
+from service.workers.panels import sun_tracking
 from service.workers.smoothing import with_rates
 
 _BANKS, _BANK_BYTES = 8, 1 << 29  # 90 MB each, 280 of a body with two joints
@@ -43,6 +45,7 @@ class Following:
 
     def __init__(self, size: int) -> None:
         self._bodies: Cache[LitBody] = Cache(size, lambda body: body.close())
+        self._tracking: Cache[SunTracking | None] = Cache(size)
         self._banks: Cache[_Kept] = Cache(_BANKS, weigh=lambda kept: kept.bank.pictures.nbytes, most_bytes=_BANK_BYTES)
 
     def track(
@@ -60,9 +63,11 @@ class Following:
         height, width = image.image.shape[:2]
         within = scale_in_window(job.scale_px, job.config.camera)
         domain = Domain(width, height, mesh.radius, articulation, config.prior, within)
-        told = told_of(config, domain, job.light)
         key = f"{job.model}:{articulation}"
         body = self._bodies.get(key, lambda: LitBody(mesh, articulation)).body
+        key += f":{config.joints.sun_tracking}:{config.joints.sun_tracking_sigma_deg}"
+        tracking = self._tracking.get(key, lambda: sun_tracking(mesh, articulation, config.joints))
+        told = replace(told_of(config, domain, job.light), tracking=tracking)
         region = region_of(job.state, job.time_s, mesh.radius, (height, width))
         frame = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region, lens)
         bank = partial(self._bank, key, body, told)

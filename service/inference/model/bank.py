@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from service.inference.model import templates as T
 from service.inference.model.drawing import Drawing, Quality, View
 from service.inference.model.spread import band
+from service.inference.model.sun_tracking import SunTracking
 from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
@@ -27,8 +28,8 @@ _PER_LOG_SCALE = 0.5  # correlation that a look may lose for a scale e times off
 _CHUNK = 512
 
 
-def build(drawing: Drawing, suns: Array) -> T.Bank:
-    """Draw as many templates as ``suns`` (N, 3), in camera axes, has rows."""
+def build(drawing: Drawing, suns: Array, tracking: SunTracking | None = None) -> T.Bank:
+    """Draw as many templates as ``suns`` (N, 3), in camera axes, has rows; ``tracking``: joints that follow them."""
     count = len(suns)
     quaternion = T.rotations(count)
     joints = T.drawn_joints(drawing.articulation, count)
@@ -36,6 +37,9 @@ def build(drawing: Drawing, suns: Array) -> T.Bank:
     middle = np.full((count, 2), T._FIRST_SIDE / 2)
     size = np.full(count, np.log(0.5 * T._FIRST_SIDE / drawing.radius))
     first = Poses(quaternion, middle, size, joints)
+    if tracking is not None:
+        first = tracking.pointed(first, suns)
+        joints = first.joints
     moments = [T.lit_moments(light) for light, _ in _draw(drawing, first, suns, draft, _DRAFT)]
     centre, rim = (np.concatenate(part) for part in zip(*moments, strict=True))
     zoom = T._RIM_PX / rim

@@ -34,7 +34,7 @@ class Candidates:
 def scored(hill: Hill, some: Candidates) -> Candidates:
     """The same with their log posteriors on a hill, best first."""
     planes = hill.drawing.planes(some.poses, some.suns, hill.view, hill.quality)
-    found = hill.log_evidences(planes) + log_prior(some.poses, hill.told)
+    found = hill.log_evidences(planes) + log_prior(some.poses, some.suns, hill.told)
     return Candidates(some.poses, some.suns, found)[np.argsort(-found)]
 
 
@@ -78,8 +78,9 @@ def distinct(poses: Poses, apart: float) -> NDArray[np.intp]:
     return kept[:count]
 
 
-def log_prior(poses: Poses, told: PosePrior) -> Array:
-    """(N,) of the scale."""
-    if told.log_scale is None:
-        return np.zeros(len(poses))
-    return np.asarray(-0.5 * ((poses.log_scale - told.log_scale) / told.log_scale_sigma) ** 2)
+def log_prior(poses: Poses, suns: Array, told: PosePrior) -> Array:
+    """(N,) of the scale, and of joints that turn towards the Sun."""
+    out = np.zeros(len(poses))
+    if told.log_scale is not None:
+        out -= 0.5 * ((poses.log_scale - told.log_scale) / told.log_scale_sigma) ** 2
+    return out if told.tracking is None else out + told.tracking.log_density(poses, suns)

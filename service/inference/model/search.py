@@ -32,6 +32,7 @@ from service.inference.model.stages import (
     Sight,
     stage_hill,
 )
+from service.inference.model.sun_tracking import SunTracking
 from service.inference.model.templates import Bank, directions
 from service.inference.numerics.gauss_newton import ascend, within
 from service.inference.numerics.hill import Hill, Refined
@@ -127,7 +128,7 @@ def started(
     if not len(some.found):
         return some
     if rng is not None:
-        some = jittered(rng, some, body.rough)
+        some = jittered(rng, some, body.rough, told.tracking)
     hill = stage_hill(body.rough, sight, ROUGH, nuisance, told, speckle=False)
     some = best_of(scored(hill, some), len(some.found), SHARED_DEG)
     more = 1 + min(2, some.poses.joints.shape[1])  # joints ask for as many again
@@ -135,7 +136,9 @@ def started(
     return climbed(hill, varied(hill, some), replace(ROUGH, kept=more * ROUGH.kept))
 
 
-def jittered(rng: np.random.Generator, some: Candidates, drawing: Drawing) -> Candidates:
+def jittered(
+    rng: np.random.Generator, some: Candidates, drawing: Drawing, tracking: SunTracking | None = None
+) -> Candidates:
     """Each pose somewhere between its neighbours."""
     steps = np.zeros((len(some.found), 6 + some.poses.joints.shape[1]))
     steps[:, :3] = _BETWEEN_RAD * rng.standard_normal((len(steps), 3))
@@ -143,7 +146,8 @@ def jittered(rng: np.random.Generator, some: Candidates, drawing: Drawing) -> Ca
     spans = np.array([joint.maximum - joint.minimum for joint in drawing.articulation.joints])
     steps[:, 6:] = _BETWEEN_JOINTS * spans * rng.standard_normal((len(steps), len(spans)))
     moved = retract(some.poses, steps)
-    return replace(some, poses=replace(moved, joints=within(drawing, moved.joints)))
+    moved = replace(moved, joints=within(drawing, moved.joints))
+    return replace(some, poses=moved if tracking is None else tracking.pointed(moved, some.suns))
 
 
 def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior) -> Found:
@@ -208,6 +212,12 @@ def around(hill: Hill, one: Refined, steps: Array) -> Candidates:
     return scored(hill, Candidates(moved, np.tile(one.sun, (len(steps), 1)), np.zeros(len(steps))))
 
 
+def searched_joints(drawing: Drawing, told: PosePrior) -> list[int]:
+    """Columns of joints of which nothing is known."""
+    known = () if told.tracking is None else told.tracking.columns
+    return [k for k in range(drawing.articulation.n_joints) if k not in known]
+
+
 def bank_size(n_joints: int) -> int:
     """Templates that a body of so many joints asks for."""
     return BANK_SIZE * (1 + min(2, n_joints))
@@ -215,10 +225,10 @@ def bank_size(n_joints: int) -> int:
 
 def make_bank(body: Body, told: PosePrior) -> Bank:
     """Templates under the Sun that is told, or each under one of many."""
-    count = bank_size(body.rough.articulation.n_joints)
+    count = bank_size(len(searched_joints(body.rough, told)))
     sun = told.towards_sun
     suns = directions(count) if sun is None else np.tile(sun, (count, 1))
-    return banks.build(body.rough, suns)
+    return banks.build(body.rough, suns, told.tracking)
 
 
 def propose(bank: Bank, patch: PatchLike, told: PosePrior) -> Candidates:
@@ -242,9 +252,9 @@ def propose(bank: Bank, patch: PatchLike, told: PosePrior) -> Candidates:
 def varied(hill: Hill, some: Candidates) -> Candidates:
     """What does not move is found first: with other joint values, and other Suns where none is told, it may fit."""
     some = best_of(some, len(some.found), SHARED_DEG)
-    tried, joints = [some], hill.drawing.articulation.joints
-    together = [range(len(joints))] if len(joints) <= _TOGETHER else [[k] for k in range(len(joints))]
-    for chosen in together if joints else ():
+    tried, joints, free = [some], hill.drawing.articulation.joints, searched_joints(hill.drawing, hill.told)
+    together = [free] if len(free) <= _TOGETHER else [[k] for k in free]
+    for chosen in together if free else ():
         few = best_of(joined(tried), _TRIED // len(chosen), SHARED_DEG)
         count = _VALUES[min(len(chosen), len(_VALUES)) - 1]
         for at in np.ndindex(*[count] * len(chosen)):
@@ -260,4 +270,8 @@ def varied(hill: Hill, some: Candidates) -> Candidates:
 def under(hill: Hill, some: Candidates, count: int) -> list[Candidates]:
     """The same poses under each of so many Suns."""
     suns = (np.tile(sun, (len(some.found), 1)) for sun in directions(count))
-    return [scored(hill, replace(some, suns=sun)) for sun in suns]
+    tracking, out = hill.told.tracking, []
+    for sun in suns:
+        poses = some.poses if tracking is None else tracking.pointed(some.poses, sun)
+        out.append(scored(hill, replace(some, poses=poses, suns=sun)))
+    return out

@@ -93,6 +93,10 @@ def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) 
     if told.log_scale is not None:
         normal[5, 5] += told.log_scale_sigma**-2
         pull[5] += (told.log_scale - float(pose.log_scale[0])) / told.log_scale_sigma**2
+    if told.tracking is not None:
+        off, slopes = told.tracking.slopes(pose, sun)
+        normal[:d, :d] += slopes.T @ slopes
+        pull[:d] -= slopes.T @ off
     if hill.sun_free:
         known = told.towards_sun is not None
         normal[range(d, d + 2), range(d, d + 2)] += told.sun_sigma**-2 if known else 1.0

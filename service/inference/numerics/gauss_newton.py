@@ -181,6 +181,8 @@ def _log_prior(told: PosePrior, poses: Poses, suns: Array) -> Array:
         out -= 0.5 * ((poses.log_scale - told.log_scale) / told.log_scale_sigma) ** 2
     if told.towards_sun is not None:
         out -= 0.5 * (np.linalg.norm(suns - told.towards_sun, axis=1) / told.sun_sigma) ** 2
+    if told.tracking is not None:
+        out += told.tracking.log_density(poses, suns)
     return out
 
 

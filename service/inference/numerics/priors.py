@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.estimate import tangent
+from service.inference.model.sun_tracking import SunTracking
 from service.inference.state import Array, Poses
 
 
@@ -19,6 +20,7 @@ class PosePrior:
     log_scale_sigma: float = 0.03
     towards_sun: Array | None = None  # (3,) unit
     sun_sigma: float = 0.0175  # rad
+    tracking: SunTracking | None = None  # joints that turn panels towards the Sun
 
 
 @dataclass(frozen=True)

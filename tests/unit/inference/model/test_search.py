@@ -254,7 +254,7 @@ def test_what_is_scored_comes_best_first_with_its_own_pose():
     assert (np.diff(found.found) < 0).all()
     known = scored(replace(hill, told=told), Candidates(others, suns, nothing))
     assert known.found == pytest.approx(found.found - 2.0)
-    assert log_prior(others, told) == pytest.approx(-2.0)
+    assert log_prior(others, suns, told) == pytest.approx(-2.0)
 
 
 def test_other_joint_values_are_tried():
