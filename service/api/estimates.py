@@ -41,6 +41,8 @@ class ExportQuery(BaseModel):
     """International designator, YYYY-NNNP."""
     smoothed: bool | None = None
     """With all later frames taken into account, as in the list of estimates. By default of a session that has ended."""
+    model: bool = False
+    """With `czml`: the mesh itself, its parts moved as the joints were. `prior.unit_m` says how large it is."""
 
 
 @router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422, 503))
@@ -188,7 +190,9 @@ async def export(
     """The attitude history as a file. `aem`, `acm`, `apm`, `stk` and `czml` need frames with an absolute attitude."""
     kind = FORMATS[query.format]
     names: dict[str, Any] = {"name": query.object_name, "object_id": query.object_id}
-    body = await services.archive.export(session, query.format, query.pose, **names, smoothed=query.smoothed)
+    body = await services.archive.export(
+        session, query.format, query.pose, **names, smoothed=query.smoothed, model=query.model
+    )
     disposition = f'attachment; filename="{session_id}.{kind.suffix}"'
     return Response(body, media_type=kind.media_type, headers={"Content-Disposition": disposition})
 

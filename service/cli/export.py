@@ -21,11 +21,12 @@ def export(
         bool | None,
         typer.Option("--smoothed/--filtered", help="With all later frames, or not; by default if the session ended."),
     ] = None,
+    model: Annotated[bool, typer.Option("--model", help="With czml: the mesh itself, moved as its joints.")] = False,
     url: Url = DEFAULT_URL,
     key: Key = None,
 ) -> None:
     """Write a session's attitude history (docs/formats.md)."""
-    names = {"object_name": object_name, "object_id": object_id}
+    names = {"object_name": object_name, "object_id": object_id, "model": "true" if model else None}
     options = {name: value for name, value in names.items() if value is not None}
     with connected(url, key) as client:
         body = client.export(session, file_format, smoothed=smoothed, pose=pose, **options)

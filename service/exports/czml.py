@@ -15,6 +15,7 @@ import numpy as np
 from service.attitude.absolute import absolute_quaternion
 from service.attitude.earth import gcrf_to_itrf
 from service.attitude.orbit import Orbit
+from service.exports.czml_model import model_properties
 from service.exports.history import AttitudeHistory, Segment
 
 _DEGREE = 5  # of the interpolation between positions: an orbit's arc of a second to a millimetre
@@ -33,6 +34,7 @@ def czml_packets(history: AttitudeHistory) -> list[dict[str, Any]]:
             "availability": [_interval(segment) for segment in history.segments],
             "orientation": [_orientation(segment) for segment in history.segments],
             **({} if history.orbit is None else _place(history, history.orbit)),
+            **({} if history.body is None else {"model": model_properties(history.body, history.segments)}),
         },
     ]
 

@@ -13,7 +13,7 @@ from service.errors import ConflictError
 from service.exports.acm import write_acm
 from service.exports.ccsds import write_aem, write_apm
 from service.exports.czml import czml_packets
-from service.exports.history import AttitudeHistory, PoseName, read_history
+from service.exports.history import AttitudeHistory, Body, PoseName, read_history
 from service.exports.stk import write_stk
 from service.exports.tables import write_csv, write_npz
 
@@ -27,6 +27,7 @@ class Subject:
     joints: Mapping[str, str]  # name of each estimated joint -> its unit: deg, or units of the model
     created: datetime
     orbit: str | None = None  # elements, where they were told
+    body: Body | None = None  # where it is asked for
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ def export(name: str, estimates: Sequence[Mapping[str, Any]], pose: PoseName, su
             "el_deg, or a FITS header that has them) and the rotation of the camera",
             field="query:format",
         )
-    history = replace(history, orbit=None if subject.orbit is None else Orbit(subject.orbit))
+    orbit = None if subject.orbit is None else Orbit(subject.orbit)
+    history = replace(history, orbit=orbit, body=subject.body)
     return _ATTITUDE[name](history).encode()
 
 

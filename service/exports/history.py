@@ -9,13 +9,14 @@ differs.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Literal
 
 import numpy as np
 
 from service.attitude.orbit import Orbit
+from service.inference.articulation import Articulation
 from service.inference.state import Array
 
 PoseName = Literal["best", "mean"]
@@ -30,9 +31,19 @@ class Sample:
     quaternion: Array  # (4,) w, x, y, z; body -> GCRF
     rate_deg_s: Array | None = None  # (3,) in body axes; None: not known, as in a track's first frame
     sigma_deg: Array | None = None  # (3,) standard deviations about the body's axes
+    joints: Mapping[str, float] = field(default_factory=dict)  # of those that are estimated: degrees or model units
 
 
 Segment = tuple[Sample, ...]
+
+
+@dataclass(frozen=True)
+class Body:
+    """What a viewer draws: a prepared mesh as GLB below ``czml_model.ROOT``, its joints, and metres per unit."""
+
+    glb: bytes
+    articulation: Articulation
+    unit_m: float
 
 
 @dataclass(frozen=True)
@@ -44,6 +55,7 @@ class AttitudeHistory:
     created: datetime
     segments: tuple[Segment, ...]
     orbit: Orbit | None = None
+    body: Body | None = None
 
 
 def read_history(
@@ -76,6 +88,7 @@ def _sample(document: Mapping[str, Any], pose: PoseName) -> Sample | None:
         np.array([attitude["orientation"][axis] for axis in "wxyz"]),
         None if rate is None else np.array(rate),
         None if spread is None else np.sqrt(np.diag(np.array(spread["covariance"]))[:3]),
+        document[pose].get("joints", {}),
     )
 
 

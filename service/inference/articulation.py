@@ -100,14 +100,14 @@ def part_transforms(articulation: Articulation, poses: Poses) -> np.ndarray[tupl
     camera[:, :, :3] = scale[:, None, None] * rotation
     camera[:, :2, 3] = poses.position
     out = np.repeat(camera[:, None], len(articulation.parts), axis=1)
-    for p, motion in enumerate(_part_motions(articulation, poses.joints)):
+    for p, motion in enumerate(part_motions(articulation, poses.joints)):
         if motion is not None:
             out[:, p, :, :3] = camera[:, :, :3] @ motion[:, :3, :3]
             out[:, p, :, 3] = (camera[:, :, :3] @ motion[:, :3, 3:])[:, :, 0] + camera[:, :, 3]
     return np.ascontiguousarray(out, dtype=np.float32)
 
 
-def _part_motions(articulation: Articulation, values: Array) -> list[Array | None]:
+def part_motions(articulation: Articulation, values: Array) -> list[Array | None]:
     """Per part the (N, 4, 4) motion of its joints, or None where nothing moves it."""
     stages = [(s, values[:, j]) for j, joint in enumerate(articulation.joints) for s in joint.stages]
     stages += [(s, np.array([value])) for joint, value in articulation.held for s in joint.stages]

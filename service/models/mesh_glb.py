@@ -12,11 +12,11 @@ _FLOAT, _UNSIGNED_INT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
-def mesh_glb(mesh: Mesh) -> bytes:
+def mesh_glb(mesh: Mesh, root: tuple[float, float, float, float] | None = None) -> bytes:
     """GLB bytes: one node per part, in the order and under the names of the parts, all joints at rest.
 
     Coordinates are those of the body frame (model units, the centre of the bounding box at rest is the origin),
-    whatever axes the uploaded file had.
+    whatever axes the uploaded file had. ``root`` (x, y, z, w): all of it is below one more node, which turns it so.
     """
     binary = bytearray()
     document: dict[str, Any] = {
@@ -28,6 +28,9 @@ def mesh_glb(mesh: Mesh) -> bytes:
         "accessors": [],
         "bufferViews": [],
     }
+    if root is not None:
+        document["nodes"].append({"name": "root", "rotation": list(root), "children": list(range(len(mesh.parts)))})
+        document["scenes"] = [{"nodes": [len(mesh.parts)]}]
     for part in mesh.parts:
         document["meshes"].append(_mesh(document, binary, part))
     document["buffers"] = [{"byteLength": len(binary)}]

@@ -12,8 +12,9 @@ import numpy as np
 import orjson
 
 from service.errors import NotFoundError
+from service.exports.czml_model import ROOT
 from service.exports.formats import Subject, export
-from service.exports.history import PoseName
+from service.exports.history import Body, PoseName
 from service.inference.articulation import hold
 from service.inference.params import LightParams, SessionConfig
 from service.sessions import config as session_config
@@ -28,7 +29,7 @@ from service.store import frames, models, sessions
 from service.store.base import ModelRecord, Page, SessionRecord
 from service.store.database import Database
 from service.store.scope import SessionKey, model_key, public_id, tenant_of
-from service.workers.base import OverlayJob, Shown
+from service.workers.base import MeshJob, OverlayJob, Shown
 from service.workers.engine import Engine
 from service.workers.splitting import SplitJob
 
@@ -138,10 +139,11 @@ class Archive:
         name: str | None,
         object_id: str,
         smoothed: bool | None,
+        model: bool = False,
     ) -> bytes:
         """The history as a file; where models are compared, the frames in which the one that now leads did.
 
-        ``smoothed`` None: only if the session has ended.
+        ``smoothed`` None: only if the session has ended. ``model``: with the body itself, where the format can hold it.
 
         Raises ``ConflictError`` for an attitude format without any attitude.
         """
@@ -153,8 +155,19 @@ class Archive:
             found = await asyncio.to_thread(of_the_leader, found)
         joints = await self.joint_units(session_id, record.next_index - 1 if found else None)
         called, orbit = name or record.name or public_id(session_id), record.config["prior"].get("orbit")
-        subject = Subject(called, object_id, joints, datetime.now(UTC), orbit)
+        newest = orjson.loads(found[-1]) if found else None
+        body = await self._body(session_id, newest) if model and form == "czml" else None
+        subject = Subject(called, object_id, joints, datetime.now(UTC), orbit, body)
         return await asyncio.to_thread(_export, form, found, pose, subject)
+
+    async def _body(self, session_id: SessionKey, estimate: Mapping[str, Any] | None) -> Body:
+        """What a viewer draws: the model of an estimate."""
+        model, config = await self._setting(session_id, estimate)
+        glb = await self._engine.mesh(
+            tenant_of(session_id), MeshJob(model.blob_key, model.file_type, root=ROOT), self._blob
+        )
+        articulation = hold(articulation_of(model), config.joints.free, config.joints.fixed)
+        return Body(glb, articulation, config.prior.unit_m or 1.0)
 
     async def require_key(self, session_id: SessionKey, key: str) -> None:
         """Say what is missing: the session, or a frame with this key."""

@@ -174,11 +174,15 @@ class OverlayJob:
 
 @dataclass(frozen=True)
 class MeshJob:
-    """Write a model's prepared mesh as GLB, in the body frame, one node per part."""
+    """Write a model's prepared mesh as GLB, in the body frame, one node per part.
+
+    ``root``: below one that turns it by x, y, z, w.
+    """
 
     model: str
     file_type: str
     blobs: Mapping[str, bytes] = field(default_factory=dict)
+    root: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True)

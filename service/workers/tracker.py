@@ -219,7 +219,7 @@ class Tracker:
 
     def mesh(self, job: MeshJob) -> bytes:
         """GLB of a model's prepared mesh."""
-        return mesh_glb(self._mesh(job.model, job.file_type, job.blobs))
+        return mesh_glb(self._mesh(job.model, job.file_type, job.blobs), job.root)
 
     def restore(self, job: RestoreJob) -> RestoreReport:
         """Check what a checkpoint brings."""

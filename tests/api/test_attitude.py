@@ -114,6 +114,8 @@ async def test_exports_hold_the_attitudes(api):
     np.testing.assert_allclose(rotation_matrices(arrays["attitude_gcrf"]), expected, atol=1e-12)
     assert (await export("stk")).decode().count("\n2.000000 ") == 1
     assert json.loads(await export("czml"))[1]["id"] == "1992-052A"
+    drawn = json.loads((await api.http.get(here, params={"format": "czml", "model": True})).content)[1]["model"]
+    assert drawn["gltf"].startswith("data:model/gltf-binary") and drawn["scale"] == 1.0
 
 
 async def test_a_restart_changes_no_attitude(make_app):
