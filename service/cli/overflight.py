@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,13 +12,16 @@ from service.attitude.camera import Site
 from service.simulate.overflight import Overflight
 
 
-def read_overflight(site: str | None, tle: Path | None, time: str | None, up_angle_deg: float) -> Overflight | None:
-    """The three together, or none of them. Raises ``typer.BadParameter``."""
-    if site is None and tle is None and time is None:
-        return None
-    if site is None or tle is None or time is None:
+def read_overflights(
+    sites: Sequence[str], tle: Path | None, time: str | None, up_angle_deg: float
+) -> tuple[Overflight, ...]:
+    """One for each site, of the same object; the three together, or none of them. Raises ``typer.BadParameter``."""
+    if not sites and tle is None and time is None:
+        return ()
+    if not sites or tle is None or time is None:
         raise typer.BadParameter("--site, --tle and --time go together")
-    return Overflight(parse_site(site), read_elements(tle), parse_time(time), up_angle_deg)
+    places, elements, start = [parse_site(site) for site in sites], read_elements(tle), parse_time(time)
+    return tuple(Overflight(place, elements, start, up_angle_deg, places[0]) for place in places)
 
 
 def read_elements(path: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +12,7 @@ import typer
 if TYPE_CHECKING:
     from service.cli.model_file import ModelFile
     from service.simulate.materials import Materials
+    from service.simulate.overflight import Overflight
     from service.simulate.scenario import Scenario
 
 _SEED_STRIDE = 7919  # passes of neighbouring seeds do not overlap until there are so many
@@ -26,7 +28,10 @@ def simulate(
     joints: Annotated[str | None, typer.Option(help="Joints that move: all, none, or A,B.")] = None,
     random: Annotated[int, typer.Option(min=0, help="So many passes drawn at random, each in a folder.")] = 0,
     materials: Annotated[str | None, typer.Option(help="painted, or mixed: a body made as real ones are.")] = None,
-    site: Annotated[str | None, typer.Option(help="LAT,LON,HEIGHT: a real pass over it (degrees, metres).")] = None,
+    site: Annotated[
+        list[str] | None,
+        typer.Option(help="LAT,LON,HEIGHT: a real pass over it (degrees, metres); several: one object from each."),
+    ] = None,
     tle: Annotated[Path | None, typer.Option(help="File with the elements of the satellite of that pass.")] = None,
     time: Annotated[str | None, typer.Option(help="When it begins: ISO 8601, UTC unless it says otherwise.")] = None,
     up_angle: Annotated[float, typer.Option(help="From celestial north to the image's up, degrees.")] = 0.0,
@@ -35,26 +40,26 @@ def simulate(
     """Make a simulated pass: background and frames as PNG, truth.csv, case.json and the mesh."""
     from service.cli.model_file import read_model_file
     from service.cli.options import parse_size
-    from service.cli.overflight import read_overflight
+    from service.cli.overflight import read_overflights
     from service.simulate.scenario import PRESETS
 
-    over = read_overflight(site, tle, time, up_angle)
+    overs = read_overflights(site or (), tle, time, up_angle)
     models = [read_model_file(name) for name in mesh or ["demo"]]
     wanted = None if size is None else parse_size(size)
     if random:
         for k in range(random):
-            scenario = replace(random_scenario(materials, pass_seed(seed, k), wanted, frames), overflight=over)
-            _write(models[k % len(models)], scenario, out / f"pass_{k:03d}", joints, as_json)
+            scenario = random_scenario(materials, pass_seed(seed, k), wanted, frames)
+            _write_all(models[k % len(models)], scenario, overs, out / f"pass_{k:03d}", joints, as_json)
         return
     if preset not in PRESETS:
         raise typer.BadParameter(f"{preset!r} is none of {', '.join(PRESETS)}", param_hint="--preset")
     if len(models) != 1:
         raise typer.BadParameter("several meshes need --random", param_hint="--mesh")
-    scenario = replace(PRESETS[preset](), seed=seed, materials=known_materials(materials), overflight=over)
+    scenario = replace(PRESETS[preset](), seed=seed, materials=known_materials(materials))
     scenario = replace(scenario, size=wanted or scenario.size)
     if frames is not None:
         scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
-    _write(models[0], scenario, out, joints, as_json)
+    _write_all(models[0], scenario, overs, out, joints, as_json)
 
 
 def random_scenario(materials: str | None, seed: int, size: tuple[int, int] | None, frames: int | None) -> Scenario:
@@ -80,6 +85,22 @@ def known_materials(name: str | None) -> Materials:
 def pass_seed(seed: int, number: int) -> int:
     """Seed of pass ``number`` of a series of random passes."""
     return seed * _SEED_STRIDE + number
+
+
+def _write_all(
+    model: ModelFile,
+    scenario: Scenario,
+    overflights: Sequence[Overflight],
+    folder: Path,
+    joints: str | None,
+    as_json: bool,
+) -> None:
+    """The pass, or what each of several sites sees of it."""
+    if not overflights:
+        _write(model, scenario, folder, joints, as_json)
+    for number, over in enumerate(overflights):
+        own = folder if len(overflights) == 1 else folder / f"site_{number}"
+        _write(model, replace(scenario, overflight=over, telescope=number), own, joints, as_json)
 
 
 def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | None, as_json: bool) -> None:

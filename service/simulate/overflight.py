@@ -35,6 +35,8 @@ class Overflight:
     elements: str
     start: datetime
     up_angle_deg: float = 0.0
+    told_from: Site | None = None
+    """Where the scenario's first orientation and size are seen; None: at ``site``. Two sites of one object share it."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +66,16 @@ def follow(overflight: Overflight, times_s: Sequence[float], light: Light) -> li
     return [_look(overflight, orbit, moment, light) for moment in moments]
 
 
-def seen(track: Track, looks: Sequence[Look]) -> Track:
-    """The truth as the camera that follows sees it: turned against it, and scaled with the range."""
-    first = looks[0]
+def told(overflight: Overflight, light: Light) -> Look:
+    """What a scenario's first orientation and size refer to. Raises as ``follow``."""
+    return follow(replace(overflight, site=overflight.told_from or overflight.site), [0.0], light)[0]
+
+
+def seen(track: Track, looks: Sequence[Look], first: Look) -> Track:
+    """The truth as the camera that follows sees it: turned against it, and scaled with the range.
+
+    ``first``: the look that the track is told for.
+    """
     turns = from_matrices(np.stack([look.camera.to_gcrf.T @ first.camera.to_gcrf for look in looks]))
     nearer = np.log([first.sighting.range_km / look.sighting.range_km for look in looks])
     poses = track.poses

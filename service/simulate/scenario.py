@@ -25,6 +25,8 @@ class Scenario:
     """Width and height of the images."""
     seed: int = 0
     """Seed of all random numbers."""
+    telescope: int = 0
+    """Of several that see the same pass: air, stars and noise are each one's own."""
     background_frames: int = 10
     """Images of empty sky before the pass."""
     motion: Motion = field(default_factory=Motion)

@@ -12,11 +12,12 @@ from service.inference.articulation import Articulation
 from service.simulate.atmosphere import Atmosphere
 from service.simulate.camera import Image, Sensor
 from service.simulate.motion import Track, plan_track
-from service.simulate.overflight import follow, seen
+from service.simulate.overflight import follow, seen, told
 from service.simulate.render import Light, Picture, Renderer
 from service.simulate.scenario import Scenario
 
 _MOTION, _PAINT, _AIR, _STARS, _NOISE, _BACKGROUND_NOISE, _RANGE = range(7)
+_OWN = (_AIR, _STARS, _NOISE, _BACKGROUND_NOISE, _RANGE)  # each telescope's
 RANGE_ERROR = 0.03  # relative, of a scale that a range, a plate scale and the mesh's unit make
 
 
@@ -37,7 +38,7 @@ class SimulatedPass:
         )
         over = scenario.overflight
         self.looks = [] if over is None else follow(over, track.time_s.tolist(), scenario.light)
-        self.track: Track = seen(track, self.looks) if self.looks else track
+        self.track: Track = track if over is None else seen(track, self.looks, told(over, scenario.light))
         self._renderer = Renderer(mesh, articulation, self._rng(_PAINT), scenario.materials)
 
     @property
@@ -91,4 +92,5 @@ class SimulatedPass:
         return Picture(nothing, nothing)
 
     def _rng(self, *purpose: int) -> np.random.Generator:
-        return np.random.default_rng([self.scenario.seed, *purpose])
+        own = (self.scenario.telescope,) if self.scenario.telescope and purpose[0] in _OWN else ()
+        return np.random.default_rng([self.scenario.seed, *purpose, *own])

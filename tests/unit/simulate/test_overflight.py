@@ -65,6 +65,32 @@ def test_the_scale_follows_the_range_and_no_other_drift(demo):
     assert 2 * simulated.mesh.radius * scale[0] == pytest.approx(0.65 * 64)
 
 
+def test_several_sites_see_one_object(demo, tmp_path):
+    """Vienna, and 300 km to the west: one attitude among the stars, another direction, other noise."""
+    out, tle = tmp_path / "both", tmp_path / "iss.tle"
+    tle.write_text(TLE)
+    arguments = ["simulate", "--out", str(out), "--preset", "night", "--frames", "3", "--size", "64x64"]
+    arguments += ["--tle", str(tle), "--time", HIGH.isoformat(), "--site", "48.23,16.34,250", "--site", "48.0,12.3,500"]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    rows, truths = (
+        [list(csv.DictReader((out / f"site_{n}" / name).read_text().splitlines())) for n in (0, 1)]
+        for name in ("pointing.csv", "truth.csv")
+    )
+    attitudes = [np.array([[float(row[f"gcrf_q{axis}"]) for axis in "wxyz"] for row in one]) for one in rows]
+    assert np.rad2deg(angle_between(*attitudes)).max() < 1e-3  # but for what a body aside in the image is turned
+    scaled = [
+        float(truth[k]["scale_px"]) * float(row[k]["range_km"])
+        for truth, row in zip(truths, rows, strict=True)
+        for k in (0, 2)
+    ]
+    assert scaled == pytest.approx([scaled[0]] * 4, rel=1e-5)
+    one, other = (direction(float(row[0]["ra_deg"]), float(row[0]["dec_deg"])) for row in rows)
+    assert np.rad2deg(np.arccos(one @ other)) > 20
+    images = [(out / f"site_{n}" / "background" / "000.png").read_bytes() for n in (0, 1)]
+    assert images[0] != images[1]
+
+
 def test_the_sun_in_the_camera_is_the_sun_among_the_stars(demo):
     simulated = passed(demo)
     for k, look in enumerate(simulated.looks):
