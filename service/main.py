@@ -143,7 +143,7 @@ def _build(settings: Settings, engine: Engine, database: Database, inspector: In
         pruning=Pruning(database, registry, Rules(settings.end_idle_days, settings.retain_ended_days)),
         library=library,
         archive=archive,
-        objects=Objects(database, archive.motions),
+        objects=Objects(database, archive.motions, settings.quota_objects),
         reports=Reports(archive, library, status, settings.keep_frame_bodies),
         checkpoints=Checkpoints(database, registry, library, engine, _check_estimate),
         batch_places=Places(settings.max_batches, "SKYPOSE_MAX_BATCHES"),

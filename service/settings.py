@@ -192,6 +192,8 @@ class Settings(BaseSettings):
     """Sessions of one tenant; one more is answered 429. 0: any number."""
     quota_keys: Annotated[int, Field(ge=0)] = 1000
     """Keys of one tenant that are not revoked, made over REST; one more is answered 429. 0: any number."""
+    quota_objects: Annotated[int, Field(ge=0)] = 10_000
+    """Objects of one tenant; one more is answered 429. 0: any number."""
     quota_models: Annotated[int, Field(ge=0)] = 1000
     """Models of one tenant; one more is answered 429. 0: any number."""
     quota_particles: Annotated[int, Field(ge=0)] = 100_000_000

@@ -132,7 +132,7 @@ _REQUEST = {
     "",
     status_code=201,
     response_model=TrackedObject,
-    responses=problems(404, 413, 415, 422, 503),
+    responses=problems(404, 413, 415, 422, 429, 503),
     openapi_extra=_REQUEST,
 )
 async def create_object(

@@ -28,15 +28,15 @@ Span = tuple[datetime, datetime]  # of a session's frames
 class Objects:
     """Stored objects. Everything raises ``NotFoundError`` for what is not there."""
 
-    def __init__(self, database: Database, motions: PassMotions) -> None:
-        self._database = database
-        self._motions = motions
+    def __init__(self, database: Database, motions: PassMotions, quota: int = 0) -> None:
+        """``quota``: of a tenant; 0: any number."""
+        self._database, self._motions, self._quota = database, motions, quota
 
     async def create(self, tenant: str, name: str, sessions: Iterable[SessionKey]) -> dict[str, Any]:
-        """A new object that these sessions are of."""
+        """A new object that these sessions are of. Raises ``QuotaExceededError``."""
         key = object_key(tenant, str(uuid.uuid4()))
         record = ObjectRecord(key, name, format_time(datetime.now(UTC)), tenant=tenant, sessions=tuple(sessions))
-        return object_document(await self._database.write(objects.add, record))
+        return object_document(await self._database.write(objects.add, record, self._quota))
 
     async def get(self, object_id: ObjectKey) -> dict[str, Any]:
         """One object."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from sqlalchemy import Connection, delete, insert, select
+from sqlalchemy import Connection, delete, func, insert, select
 
-from service.errors import NotFoundError
+from service.errors import NotFoundError, QuotaExceededError
 from service.store import sessions as sessions_store
 from service.store.base import ObjectRecord, Page
 from service.store.pages import page_of
@@ -16,9 +16,15 @@ from service.store.signals import alone
 from service.store.tables import members, objects, sessions
 
 
-def add(connection: Connection, record: ObjectRecord) -> ObjectRecord:
-    """Store a new object with its sessions. Raises ``NotFoundError`` for one that is not there."""
+def add(connection: Connection, record: ObjectRecord, quota: int = 0) -> ObjectRecord:
+    """Store a new object with its sessions. Raises ``NotFoundError`` for one that is not there.
+
+    Raises ``QuotaExceededError`` where its tenant has ``quota`` (0: any number).
+    """
     alone(connection)
+    query = select(func.count()).where(objects.c.tenant == record.tenant)
+    if quota and connection.execute(query).scalar_one() >= quota:
+        raise QuotaExceededError(f"{quota} objects are there", limit=quota, setting="SKYPOSE_QUOTA_OBJECTS")
     connection.execute(insert(objects), sealed(objects, row_of(objects, record)))
     for session_id in dict.fromkeys(record.sessions):
         _insert(connection, record.id, session_id)

@@ -82,6 +82,17 @@ async def test_key_past_its_end_and_keys_past_the_quota(make_app, tmp_path):
         await callers.client("other")
 
 
+async def test_objects_past_the_quota(make_app, tmp_path):
+    async with guarded(make_app, tmp_path, quota_objects=1) as callers:
+        acme, other = await callers.client("acme"), await callers.client("other")
+        made = await acme.http.post("/v1/objects", json={"name": "one"})
+        answer = await acme.http.post("/v1/objects", json={"name": "one more"})
+        assert (answer.status_code, answer.json()["setting"]) == (429, "SKYPOSE_QUOTA_OBJECTS")
+        assert (await other.http.post("/v1/objects", json={"name": "another"})).status_code == 201
+        await acme.http.delete(f"/v1/objects/{made.json()['object_id']}")
+        assert (await acme.http.post("/v1/objects", json={"name": "one more"})).status_code == 201
+
+
 async def test_token_of_an_identity_provider_is_a_tenant(make_app, tmp_path):
     key = ec.generate_private_key(ec.SECP256R1())
     jwks = tmp_path / "jwks.json"
