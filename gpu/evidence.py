@@ -6,6 +6,7 @@ Knows pictures and noise, not what they mean: see docs/model.md, section 3. The 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,6 +21,7 @@ Numbers = NDArray[np.float32]
 FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
 LANES, EIGHT, NEAR, ODD = 16, 8, 704, 5  # as the kernel has them
 HERMITE, BUMPS = 12, 9
+_OWN = ("mean", "precision")
 _REACH = 3.5  # sigmas of a Gaussian that are summed
 
 
@@ -153,16 +155,27 @@ class LightEvidence:
             self._memory = Scratch(self._context)
             self._kernel = cl.Kernel(build(self._context, *FILES), "evidence")
 
-    def evidence(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int) -> Answers:
-        """``planes`` (N, Q, S, S): groups, even light, gloss of groups; none is lit where there is no even light."""
-        return self._run(planes, n_groups, terms, rounds, None)
+    def evidence(
+        self,
+        planes: Numbers,
+        n_groups: int,
+        terms: Terms | Sequence[Terms],
+        rounds: int,
+        which: Sequence[int] | None = None,
+    ) -> Answers:
+        """``planes`` (N, Q, S, S): groups, even light, gloss of groups; none is lit where there is no even light.
+
+        ``terms``: of all poses, or of each its own, which may differ in priors, point spread and discrepancy. Each is
+        of the planes that ``which`` says, in order where nothing is said.
+        """
+        return self._run(planes, n_groups, terms if isinstance(terms, Sequence) else [terms], rounds, None, which)
 
     def details(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int) -> tuple[Answers, list[Details]]:
         """The same, and what each pose's curvature is made of."""
         n, n_planes, side, _ = planes.shape
         unknowns, pixels = self._unknowns(n_planes, terms), side * side
         out = np.empty((n, LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 4)), np.float32)
-        answers = self._run(planes, n_groups, terms, rounds, out)
+        answers = self._run(planes, n_groups, [terms], rounds, out)
         always = unknowns - (n_planes - 1)
         return answers, [_details(row, unknowns, always, side) for row in out]
 
@@ -175,12 +188,23 @@ class LightEvidence:
     def _unknowns(n_planes: int, terms: Terms) -> int:
         return n_planes - 1 + 6 + HERMITE * terms.speckle + 2 * BUMPS * terms.shifts
 
-    def _run(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int, details: Numbers | None) -> Answers:
-        n, n_planes, side, _ = planes.shape
+    def _run(
+        self,
+        planes: Numbers,
+        n_groups: int,
+        several: Sequence[Terms],
+        rounds: int,
+        details: Numbers | None,
+        which: Sequence[int] | None = None,
+    ) -> Answers:
+        _, n_planes, side, _ = planes.shape
+        numbers, terms = range(len(planes)) if which is None else which, several[0]
+        n = len(numbers)
         if side % LANES:
             raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
         unknowns = self._unknowns(n_planes, terms)
-        taps = [_taps(sigma) for _, sigma in terms.gaussians]
+        every = several if len(several) == n else [terms] * n
+        spreads, weights, taps = _spreads([one.gaussians for one in every] or [terms.gaussians], numbers)
         length = side + 2 * _lanes(max(len(t) // 2 for t in taps))
         each = _room(unknowns, n_planes, side, length)
         out, drawn = np.empty((n, 4), np.float32), np.empty((n, n_planes), np.float32)
@@ -191,28 +215,18 @@ class LightEvidence:
             flags = cl.mem_flags
             held = np.ascontiguousarray(planes, np.float32)
             given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
-            arrays: tuple[NDArray[np.generic], ...] = (
-                terms.offset,
-                terms.mean,
-                terms.precision,
-                terms.data,
-                terms.full.astype(np.uint8),
-            )
-            weights = np.array([w for w, _ in terms.gaussians], np.float32)
+            mean, precision = terms.mean, terms.precision
+            if len(several) > 1:
+                mean, precision = (np.stack([np.atleast_2d(getattr(one, k))[0] for one in several]) for k in _OWN)
+            whole = (terms.offset, mean, precision, terms.data, terms.full.astype(np.uint8))
+            arrays: tuple[NDArray[np.generic], ...] = whole
             radii = np.array([len(t) // 2 for t in taps], np.int32)
             arrays += (terms.slopes, terms.bumps, weights, radii, np.concatenate(taps))
             inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in arrays]
-            inputs.insert(3, np.int32(terms.mean.shape[1] if terms.mean.ndim == 2 else 0))
-            sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, len(taps), length)
-            scalars: tuple[float, ...] = (
-                terms.noise,
-                terms.photon,
-                terms.hidden,
-                terms.area,
-                terms.wrong,
-                terms.edge**2,
-            )
-            scalars += (terms.width, terms.gain)
+            inputs.insert(3, np.int32(mean.shape[1] if mean.ndim == 2 else 0))
+            sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, length)
+            scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.edge**2, terms.gain)
+            own = np.array([(one.wrong, one.width) for one in every], np.float32)
             result, coefficients = (cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in (out, drawn))
             more = None
             if details is not None:
@@ -223,6 +237,7 @@ class LightEvidence:
                 *inputs,
                 *(np.int32(v) for v in sizes),
                 *(np.float32(v) for v in scalars),
+                *(constant(self._context, one) for one in (spreads, own)),
             )
             tail = (self._memory.of(4 * each * items), np.uint64(each))
             counter = zero(self._context)
@@ -274,6 +289,22 @@ def _room(unknowns: int, n_planes: int, side: int, length: int) -> int:
     matrices = _lanes(2 * width * width) + _lanes(2 * slots * slots) + (slots + 1) ** 2 * LANES
     pictures = slots * (pixels + ODD * LANES) + 6 * pixels + side * length
     return vectors + matrices + pictures + 2 * max(NEAR, (slots + 3) * EIGHT) * LANES
+
+
+def _spreads(
+    gaussians: Sequence[tuple[tuple[float, float], ...]], numbers: Sequence[int]
+) -> tuple[NDArray[np.int32], Numbers, list[Numbers]]:
+    """(N, 4) rows as the kernel reads them; weights and taps of all components that poses have, each spread once."""
+    places: dict[tuple[tuple[float, float], ...], tuple[int, int, int]] = {}
+    weights: list[float] = []
+    taps: list[Numbers] = []
+    for spread in gaussians:
+        if spread not in places:
+            places[spread] = len(taps), len(spread), sum(map(len, taps))
+            weights += [weight for weight, _ in spread]
+            taps += [_taps(sigma) for _, sigma in spread]
+    rows = [(*places[spread], number) for spread, number in zip(gaussians, numbers, strict=False)]
+    return np.array(rows, np.int32).reshape(-1, 4), np.array(weights, np.float32), taps
 
 
 def _taps(sigma: float) -> Numbers:

@@ -389,28 +389,33 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
     for (int m = 0; m < lit; ++m) to[m] = (float)r.plane[m];
 }
 
-// given_mean, given_precision (unknowns), or `every` of them a pose.
+// given_mean, given_precision (unknowns), or `every` of them a pose. spreads (N, 4): of each pose its first component,
+// how many they are, its first tap, and which of the drawn ones it is. own (N, 2): C tau^2, width of the point spread.
 // out (N, 4): log evidence, chi2 of the body, log det, squared deviation; values (N, planes) what `combined` takes.
 __kernel void evidence(
     __global const float *planes, const int poses, __global const float *offset, __global const float *given_mean,
     __global const float *given_precision, const int every, __global const float *data, __global const uchar *full,
     __global const float *slopes, __global const float *bumps, __global const float *weights,
     __global const int *radii, __global const float *taps, const int groups, const int side, const int n_planes,
-    const int speckle, const int shifts, const int rounds, const int components, const int length,
-    const float sigma2, const float photon, const float hidden, const float area, const float wrong,
-    const float edge2, const float width, const float gain, __global float *out, __global float *coefficients,
-    __global float *details, __global float *memory, const ulong each, volatile __global int *next)
+    const int speckle, const int shifts, const int rounds, const int length, const float sigma2, const float photon,
+    const float hidden, const float area, const float edge2, const float gain, __global const int *spreads,
+    __global const float *own, __global float *out, __global float *coefficients, __global float *details,
+    __global float *memory, const ulong each, volatile __global int *next)
 {
     const int more = (speckle ? HERMITE : 0) + (shifts ? 2 * BUMPS : 0), pixels = side * side;
-    const Scene s = {side, pixels, pixels + ODD * LANES, n_planes, n_planes - 1, n_planes - 1 + 6 + more, speckle,
-        shifts, rounds, components, EVEN + 1 + more, length, sigma2, photon, hidden, area, wrong, edge2, width, gain};
+    Scene s = {side, pixels, pixels + ODD * LANES, n_planes, n_planes - 1, n_planes - 1 + 6 + more, speckle,
+        shifts, rounds, 0, EVEN + 1 + more, length, sigma2, photon, hidden, area, 0.0f, edge2, 0.0f, gain};
     const Room r = room_in(memory + get_global_id(0) * each, s);
     prepare(s, r, slopes);
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
+        __global const int *spread = spreads + 4 * pose;
+        s.components = spread[1];
+        s.wrong = own[2 * pose];
+        s.width = own[2 * pose + 1];
         Box body;
-        const int lit = begin(s, r, planes + (size_t)pose * n_planes * pixels, offset,
-            given_mean + (size_t)pose * every, given_precision + (size_t)pose * every, data, weights,
-            radii, taps, groups, &body);
+        const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * pixels, offset,
+            given_mean + (size_t)pose * every, given_precision + (size_t)pose * every, data, weights + spread[0],
+            radii + spread[0], taps + spread[2], groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
         draw_model(s, r, lit, count, body, offset, data, full, bumps);
         bool sound = true, still = false;

@@ -9,6 +9,7 @@ import pytest
 from gpu.device import find_devices
 from gpu.evidence import LightEvidence, open_evidence
 from service.inference.model.likelihood import ROUNDS, Fit, fit_light, terms_of
+from service.inference.model.paint import painted
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread, spread
 
@@ -115,6 +116,21 @@ def test_details_are_what_the_twin_knows(light, name):
         assert details[k].columns.shape == wanted.columns.shape
         for column, expected in zip(details[k].columns, wanted.columns, strict=True):
             np.testing.assert_allclose(column, expected, atol=2e-3 * max(np.abs(expected).max(), 1e-3 * bright))
+
+
+def test_poses_may_have_their_own_priors_point_spread_and_discrepancy(light):
+    rng = np.random.default_rng(5)
+    planes = np.stack([wedges(rng, 32, 4, 4) for _ in range(2)])
+    scene = scene_of(rng, planes[0], 4, PointSpread(1.1, 0.8), True)
+    scenes = [scene, scene.under(discrepancy=0.3), scene.under(point_spread=PointSpread(1.9, 1.4))]
+    terms = [terms_of(one, 4, 9) for one in scenes]
+    terms.append(painted(terms[0], rng.uniform(0.1, 3.0, (1, 2, 8))))
+    which = [1, 0, 1, 0]
+    found = light.evidence(planes, 4, terms, 4, which)
+    alone = [light.evidence(planes[k : k + 1], 4, one, 4) for k, one in zip(which, terms, strict=True)]
+    assert found.log_evidence.tolist() == [one.log_evidence[0] for one in alone]
+    assert np.array_equal(found.coefficients, np.concatenate([one.coefficients for one in alone]))
+    assert len(set(found.log_evidence.tolist())) == 4
 
 
 @pytest.mark.parametrize("count", [0, 1, 7])

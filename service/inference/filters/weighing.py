@@ -11,9 +11,8 @@ from service.inference.domain import Domain
 from service.inference.estimate import tangent
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.model import existence, paint, prior
-from service.inference.model.drawing import Images
 from service.inference.model.dynamics import corrected, new_born
-from service.inference.model.nuisance import Nuisance, log_prior, nudged
+from service.inference.model.nuisance import Nuisance, log_prior, neighbour, scene_under
 from service.inference.model.search import Found
 from service.inference.motion import MotionNoise
 from service.inference.numerics.hill import Hill, Refined
@@ -52,9 +51,10 @@ def weigh(
     modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
     lead = max(modes, key=lambda mode: mode.log_weight, default=None)
     level: float | None = None  # weight of evidence in this frame alone
-    afresh = -np.inf  # the leader's evidence, were its paint unknown
+    other, looks = neighbour(nuisance, given.index), (-np.inf, -np.inf, -np.inf)
     if lead is not None:
-        afresh = float(hill.log_evidences(lead.one.fit.planes[None])[0])
+        looks = looks_at(lead, hill, other)
+        afresh = looks[0]
         alone = lead.alone + afresh - lead.one.fit.log_evidence
         level = lead.log_weight - prior.EVIDENCE_TRUST * alone
     new = newborn(refined, found)
@@ -62,13 +62,13 @@ def weigh(
     lead_number = int(np.argmax([mode.log_weight for mode in modes]))
     best = modes[lead_number]
     if best is not lead:
-        afresh = best.one.fit.log_evidence
-    planes = best.one.fit.planes[None]
+        looks = looks_at(best, hill, other)
+    afresh, unlike, elsewhere = looks
     light = existence.log_light(hill, best.one.fit)
     known = existence.usual_chi2() if before is None else before.log_chi2
     explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance)
     absent = existence.log_absent(hill)
-    probabilities = hypotheses(best, afresh, absent, hill, planes, nuisance, light, known, ahead, before)
+    probabilities = hypotheses(best, (absent, afresh, unlike), nuisance, light, known, ahead, before)
     fits = float(probabilities[existence.FITS])
     return Updated(
         refined=[mode.one for mode in modes],
@@ -77,7 +77,7 @@ def weigh(
         paint=np.stack([paint.learnt(mode.one.fit, mode.paint, fits) for mode in modes]),
         log_weights=np.array([mode.log_weight for mode in modes]),
         existence=probabilities,
-        nuisance=nudged(hill, planes, best.one.fit.log_evidence, nuisance, given.index, best.paint),
+        nuisance=other if elsewhere + log_prior(other) > best.one.fit.log_evidence + log_prior(nuisance) else nuisance,
         log_chi2=existence.usual_chi2(known, best.one.fit.chi2, fits),
         log_light=light,
         log_evidence=prior.EVIDENCE_TRUST * (explained - absent),
@@ -116,12 +116,16 @@ def born(one: Refined, level: float | None, siblings: int, noise: MotionNoise, d
     return Weighed(one, np.zeros(d), new_born(one.covariance, noise), weight, share, one.log_posterior, unlearnt)
 
 
+def looks_at(mode: Weighed, hill: Hill, other: Nuisance) -> tuple[float, float, float]:
+    """Log evidences of one mode: were its paint unknown; as of another body; and under another air."""
+    ways = [(hill.scene, None), (existence.scene_unlike(hill), None), (scene_under(hill, other), mode.paint)]
+    afresh, unlike, elsewhere = hill.log_evidences_under(mode.one.fit.planes[None], ways)[:, 0]
+    return float(afresh), float(unlike), float(elsewhere)
+
+
 def hypotheses(
     best: Weighed,
-    afresh: float,
-    absent: float,
-    hill: Hill,
-    planes: Images,
+    evidences: tuple[float, float, float],
     nuisance: Nuisance,
     light: float,
     usual_chi2: Array,
@@ -130,15 +134,15 @@ def hypotheses(
 ) -> Array:
     """(3,) probabilities of ``model.existence``, as if the truth were among the modes.
 
-    ``afresh``: the log evidence of the best mode, were its paint unknown; ``absent``: that of the sky alone. Light that
+    ``evidences``: logs of the sky's alone, of the best mode were its paint unknown, and as of another body. Light that
     asks for other paint than the body has is explained by something that is between, or by another body.
     """
     start = existence.expected(None, 0.0) if ahead is None else ahead.existence
     fit = best.one.fit
     usual = log_prior(nuisance) + existence.log_of_change(None if before is None else before.log_light, light)
+    absent, afresh, unlike = evidences
     fits, other_paint = (log + best.occam + usual for log in (fit.log_evidence, afresh))
-    unlike = existence.log_unlike(hill, planes) + best.occam
-    logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, unlike, other_paint)])
+    logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, unlike + best.occam, other_paint)])
     logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(fit.chi2, usual_chi2)
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
 

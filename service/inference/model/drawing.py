@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -64,7 +65,9 @@ class Shaded(Protocol):
 class Evidence(Protocol):
     """``gpu.evidence.LightEvidence``; its twin is ``service.inference.model.likelihood.fit_light``."""
 
-    def evidence(self, planes: Images, n_groups: int, terms: Any, rounds: int) -> Any:
+    def evidence(
+        self, planes: Images, n_groups: int, terms: Any, rounds: int, which: Sequence[int] | None = None
+    ) -> Any:
         """(N, Q, S, S) planes -> ``log_evidence``, ``chi2`` (N,) and ``coefficients`` (N, Q)."""
         ...
 

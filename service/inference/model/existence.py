@@ -7,7 +7,7 @@ from scipy.special import betaln
 
 from service.inference.model import prior
 from service.inference.model.likelihood import Fit
-from service.inference.model.scene import Images
+from service.inference.model.scene import Scene
 from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Goodness
 
@@ -28,12 +28,11 @@ def log_absent(hill: Hill) -> float:
     return float(hill.log_evidences(np.zeros((1, groups + 1, side, side), np.float32))[0])
 
 
-def log_unlike(hill: Hill, planes: Images) -> float:
-    """Log evidence of light that lies about where a pose has it, and is wrong everywhere: as of another body.
-
-    ``planes`` (1, Q, S, S) of the best mode; other light is left out, so it is a least.
+def scene_unlike(hill: Hill) -> Scene:
+    """Light lies about where a pose has it, and is wrong everywhere: as of another body. Other light is left out, so
+    its evidence is a least.
     """
-    return float(hill.log_evidences(planes, hill.scene.under(discrepancy=prior.UNLIKE))[0])
+    return hill.scene.under(discrepancy=prior.UNLIKE)
 
 
 def log_light(hill: Hill, fit: Fit) -> float:

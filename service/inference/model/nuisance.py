@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.inference.model import prior
-from service.inference.model.scene import Images
+from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread
 from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Poses
@@ -39,21 +39,22 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
     scale = hill.view.binning
 
-    def value(core: int, wings: int) -> float:
-        spread = PointSpread(_CORES[core] / scale, _WINGS[wings] / scale)
-        scene = hill.scene.under(point_spread=spread)
-        return float(np.max(hill.log_evidences(planes, scene))) + _log_prior(_CORES[core], _WINGS[wings])
+    def values(places: list[tuple[int, int]]) -> list[float]:
+        spreads = [PointSpread(_CORES[core] / scale, _WINGS[wings] / scale) for core, wings in places]
+        found = hill.log_evidences_under(planes, [(hill.scene.under(point_spread=one), None) for one in spreads])
+        before = [_log_prior(_CORES[core], _WINGS[wings]) for core, wings in places]
+        return [float(value) for value in found.max(axis=1) + before]
 
     here = (
         int(np.argmin(np.abs(np.log(np.array(_CORES) / start.core)))),
         int(np.argmin(np.abs(np.array(_WINGS) - start.wings))),
     )
-    seen = {here: value(*here)}
+    seen = {here: values([here])[0]}
     while len(seen) < _LOOKS:
         near = [(here[0] + a, here[1] + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1))]
-        for at in near:
-            if at not in seen and 0 <= at[0] < len(_CORES) and 0 <= at[1] < len(_WINGS):
-                seen[at] = value(*at)
+        near = [at for at in near if at not in seen and 0 <= at[0] < len(_CORES) and 0 <= at[1] < len(_WINGS)]
+        if near:
+            seen.update(zip(near, values(near), strict=True))
         best = max(seen, key=lambda at: seen[at])
         if best == here:
             break
@@ -64,31 +65,25 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
 def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
     """The discrepancy under which the best pose explains the frame best, prior included."""
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
-    values = []
-    for tau in _DISCREPANCIES:
-        found = hill.log_evidences(planes, hill.scene.under(discrepancy=tau))
-        deviation = np.log(tau / prior.DISCREPANCY) / prior.DISCREPANCY_LOG_SIGMA
-        values.append(float(np.max(found)) - 0.5 * deviation**2)
+    found = hill.log_evidences_under(planes, [(hill.scene.under(discrepancy=tau), None) for tau in _DISCREPANCIES])
+    deviations = np.log(np.array(_DISCREPANCIES) / prior.DISCREPANCY) / prior.DISCREPANCY_LOG_SIGMA
+    values = found.max(axis=1) - 0.5 * deviations**2
     return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
 
 
-def nudged(
-    hill: Hill, planes: Images, log_evidence: float, now: Nuisance, turn: int, paint: Array | None = None
-) -> Nuisance:
-    """One of the three held against a neighbour on its grid: the air changes within a pass, and a look costs little.
-
-    ``planes`` (1, Q, S, S) of the best pose, whose evidence under ``now`` is ``log_evidence``; ``turn`` counts frames,
-    ``paint`` (2, P) is what it was expected to have.
-    """
+def neighbour(now: Nuisance, turn: int) -> Nuisance:
+    """One of the three a step further on its grid: the air changes within a pass. ``turn`` counts frames."""
     if turn % 3 == 2:
-        other = replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn))
-    elif turn % 3 == 1:
-        other = replace(now, wings=_neighbour(_WINGS, now.wings, turn))
-    else:
-        other = replace(now, core=_neighbour(_CORES, now.core, turn))
-    scene = hill.scene.under(point_spread=other.point_spread(hill.view.binning), discrepancy=other.discrepancy)
-    found = hill.log_evidences(planes, scene, paint)
-    return other if float(found[0]) + log_prior(other) > log_evidence + log_prior(now) else now
+        return replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn))
+    if turn % 3 == 1:
+        return replace(now, wings=_neighbour(_WINGS, now.wings, turn))
+    return replace(now, core=_neighbour(_CORES, now.core, turn))
+
+
+def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:
+    """The hill's frame under another point spread and discrepancy."""
+    spread = nuisance.point_spread(hill.view.binning)
+    return hill.scene.under(point_spread=spread, discrepancy=nuisance.discrepancy)
 
 
 def log_prior(nuisance: Nuisance) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,20 @@ class Hill:
         terms = terms if paint is None else painted(terms, paint[None])
         found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms, self.rounds)
         return np.asarray(found.log_evidence, np.float64)
+
+    def log_evidences_under(self, planes: Images, ways: Sequence[tuple[Scene, Array | None]]) -> Array:
+        """(W, N) the same under several scenes of one patch and low pass at once, each with its paint or None."""
+        count, groups, out = len(planes), self.drawing.n_groups, np.empty((len(ways), len(planes)))
+        terms = [terms_of(scene, groups, planes.shape[1]) for scene, _ in ways]
+        terms = [
+            one if paint is None else painted(one, paint[None]) for one, (_, paint) in zip(terms, ways, strict=True)
+        ]
+        for shifts in {one.shifts for one in terms}:  # which are no unknowns in calm air
+            at = [k for k, one in enumerate(terms) if one.shifts == shifts]
+            each = [terms[k] for k in at for _ in range(count)]
+            found = self.drawing.light.evidence(planes, groups, each, self.rounds, [*range(count)] * len(at))
+            out[at] = found.log_evidence.reshape(len(at), count)
+        return out
 
 
 @dataclass(frozen=True)
