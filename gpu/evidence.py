@@ -8,115 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.device import DeviceReport, first_device, open_device
+from gpu.evidence_terms import Terms, inputs_of
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
 
 Numbers = NDArray[np.float32]
 FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
 LANES, EIGHT, NEAR, ODD = 16, 8, 704, 5  # as the kernel has them
 HERMITE, BUMPS = 12, 9
-_OWN = ("mean", "precision")
-_REACH = 3.5  # sigmas of a Gaussian that are summed
-
-
-class Terms(Protocol):
-    """What one patch and its priors are to the kernel. Pictures are (S, S), S a multiple of 16."""
-
-    @property
-    def data(self) -> Numbers:
-        """(S, S) the frame after its low pass."""
-        ...
-
-    @property
-    def full(self) -> NDArray[np.bool_]:
-        """(S, S) pixels of which only a least value is known."""
-        ...
-
-    @property
-    def slopes(self) -> Numbers:
-        """(3, S, S) level of the sky and its slopes."""
-        ...
-
-    @property
-    def bumps(self) -> Numbers:
-        """(9, S, S) where the air shifts the image alike."""
-        ...
-
-    @property
-    def gaussians(self) -> tuple[tuple[float, float], ...]:
-        """Weight, sigma (px) of what blurs a drawing."""
-        ...
-
-    @property
-    def offset(self) -> Numbers:
-        """(Q - 1,) log of each positive plane's share of the gain."""
-        ...
-
-    @property
-    def mean(self) -> Numbers:
-        """(Q - 1 + 6 + ...,): positives, gain, even, hidden, sky (3), speckle, shifts."""
-        ...
-
-    @property
-    def precision(self) -> Numbers:
-        """The same of their precisions."""
-        ...
-
-    @property
-    def noise(self) -> float:
-        """Variance of a pixel of empty sky."""
-        ...
-
-    @property
-    def photon(self) -> float:
-        """Variance per count."""
-        ...
-
-    @property
-    def hidden(self) -> float:
-        """Light of the sky that a body can hide, counts."""
-        ...
-
-    @property
-    def area(self) -> float:
-        """A: pixels that count as one."""
-        ...
-
-    @property
-    def wrong(self) -> float:
-        """C tau^2."""
-        ...
-
-    @property
-    def edge(self) -> float:
-        """Px by which edges are misplaced, in units of tau."""
-        ...
-
-    @property
-    def width(self) -> float:
-        """Of the point spread, px."""
-        ...
-
-    @property
-    def gain(self) -> float:
-        """Log gain to start from."""
-        ...
-
-    @property
-    def speckle(self) -> bool:
-        """Whether the point spread's deviations are unknowns."""
-        ...
-
-    @property
-    def shifts(self) -> bool:
-        """Whether image shifts are unknowns."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -203,9 +107,8 @@ class LightEvidence:
         if side % LANES:
             raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
         unknowns = self._unknowns(n_planes, terms)
-        every = several if len(several) == n else [terms] * n
-        spreads, weights, taps = _spreads([one.gaussians for one in every] or [terms.gaussians], numbers)
-        length = side + 2 * _lanes(max(len(t) // 2 for t in taps))
+        host = inputs_of(several, numbers)
+        length = side + 2 * _lanes(host.radius)
         each = _room(unknowns, n_planes, side, length)
         out, drawn = np.empty((n, 4), np.float32), np.empty((n, n_planes), np.float32)
         if n == 0:
@@ -215,18 +118,9 @@ class LightEvidence:
             flags = cl.mem_flags
             held = np.ascontiguousarray(planes, np.float32)
             given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
-            mean, precision = terms.mean, terms.precision
-            if len(several) > 1:
-                mean, precision = (np.stack([np.atleast_2d(getattr(one, k))[0] for one in several]) for k in _OWN)
-            whole = (terms.offset, mean, precision, terms.data, terms.full.astype(np.uint8))
-            arrays: tuple[NDArray[np.generic], ...] = whole
-            radii = np.array([len(t) // 2 for t in taps], np.int32)
-            arrays += (terms.slopes, terms.bumps, weights, radii, np.concatenate(taps))
-            inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in arrays]
-            inputs.insert(3, np.int32(mean.shape[1] if mean.ndim == 2 else 0))
+            inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
+            inputs.insert(3, np.int32(host.every))
             sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, length)
-            scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.edge**2, terms.gain)
-            own = np.array([(one.wrong, one.width) for one in every], np.float32)
             result, coefficients = (cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in (out, drawn))
             more = None
             if details is not None:
@@ -236,8 +130,8 @@ class LightEvidence:
                 np.int32(n),
                 *inputs,
                 *(np.int32(v) for v in sizes),
-                *(np.float32(v) for v in scalars),
-                *(constant(self._context, one) for one in (spreads, own)),
+                *(np.float32(v) for v in host.scalars),
+                *(constant(self._context, one) for one in (host.spreads, host.own)),
             )
             tail = (self._memory.of(4 * each * items), np.uint64(each))
             counter = zero(self._context)
@@ -289,25 +183,3 @@ def _room(unknowns: int, n_planes: int, side: int, length: int) -> int:
     matrices = _lanes(2 * width * width) + _lanes(2 * slots * slots) + (slots + 1) ** 2 * LANES
     pictures = slots * (pixels + ODD * LANES) + 6 * pixels + side * length
     return vectors + matrices + pictures + 2 * max(NEAR, (slots + 3) * EIGHT) * LANES
-
-
-def _spreads(
-    gaussians: Sequence[tuple[tuple[float, float], ...]], numbers: Sequence[int]
-) -> tuple[NDArray[np.int32], Numbers, list[Numbers]]:
-    """(N, 4) rows as the kernel reads them; weights and taps of all components that poses have, each spread once."""
-    places: dict[tuple[tuple[float, float], ...], tuple[int, int, int]] = {}
-    weights: list[float] = []
-    taps: list[Numbers] = []
-    for spread in gaussians:
-        if spread not in places:
-            places[spread] = len(taps), len(spread), sum(map(len, taps))
-            weights += [weight for weight, _ in spread]
-            taps += [_taps(sigma) for _, sigma in spread]
-    rows = [(*places[spread], number) for spread, number in zip(gaussians, numbers, strict=False)]
-    return np.array(rows, np.int32).reshape(-1, 4), np.array(weights, np.float32), taps
-
-
-def _taps(sigma: float) -> Numbers:
-    radius = max(1, int(np.ceil(_REACH * sigma)))
-    taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / max(sigma, 1e-3)) ** 2)
-    return np.asarray(taps / taps.sum(), np.float32)

@@ -1,0 +1,157 @@
+"""What ``kernels/evidence.cl`` is told of a patch beside its drawings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers = NDArray[np.float32]
+_OWN = ("mean", "precision")
+_REACH = 3.5  # sigmas of a Gaussian that are summed
+
+
+class Terms(Protocol):
+    """What one patch and its priors are to the kernel. Pictures are (S, S), S a multiple of 16."""
+
+    @property
+    def data(self) -> Numbers:
+        """(S, S) the frame after its low pass."""
+        ...
+
+    @property
+    def full(self) -> NDArray[np.bool_]:
+        """(S, S) pixels of which only a least value is known."""
+        ...
+
+    @property
+    def slopes(self) -> Numbers:
+        """(3, S, S) level of the sky and its slopes."""
+        ...
+
+    @property
+    def bumps(self) -> Numbers:
+        """(9, S, S) where the air shifts the image alike."""
+        ...
+
+    @property
+    def gaussians(self) -> tuple[tuple[float, float], ...]:
+        """Weight, sigma (px) of what blurs a drawing."""
+        ...
+
+    @property
+    def offset(self) -> Numbers:
+        """(Q - 1,) log of each positive plane's share of the gain."""
+        ...
+
+    @property
+    def mean(self) -> Numbers:
+        """(Q - 1 + 6 + ...,): positives, gain, even, hidden, sky (3), speckle, shifts."""
+        ...
+
+    @property
+    def precision(self) -> Numbers:
+        """The same of their precisions."""
+        ...
+
+    @property
+    def noise(self) -> float:
+        """Variance of a pixel of empty sky."""
+        ...
+
+    @property
+    def photon(self) -> float:
+        """Variance per count."""
+        ...
+
+    @property
+    def hidden(self) -> float:
+        """Light of the sky that a body can hide, counts."""
+        ...
+
+    @property
+    def area(self) -> float:
+        """A: pixels that count as one."""
+        ...
+
+    @property
+    def wrong(self) -> float:
+        """C tau^2."""
+        ...
+
+    @property
+    def edge(self) -> float:
+        """Px by which edges are misplaced, in units of tau."""
+        ...
+
+    @property
+    def width(self) -> float:
+        """Of the point spread, px."""
+        ...
+
+    @property
+    def gain(self) -> float:
+        """Log gain to start from."""
+        ...
+
+    @property
+    def speckle(self) -> bool:
+        """Whether the point spread's deviations are unknowns."""
+        ...
+
+    @property
+    def shifts(self) -> bool:
+        """Whether image shifts are unknowns."""
+        ...
+
+
+@dataclass(frozen=True)
+class HostInputs:
+    """Of N poses, in the order in which the kernel takes them."""
+
+    arrays: tuple[NDArray[np.generic], ...]  # offset, mean, precision, data, full, slopes, bumps, weights, radii, taps
+    every: int  # priors from one pose to the next; 0: all have the same
+    scalars: tuple[float, ...]
+    spreads: NDArray[np.int32]  # (N, 4)
+    own: Numbers  # (N, 2)
+    radius: int  # of the widest spread, px
+
+
+def inputs_of(several: Sequence[Terms], numbers: Sequence[int]) -> HostInputs:
+    """``several``: the terms of all poses, or of each its own; ``numbers`` (N,): which of the drawn ones they are."""
+    terms, mean, precision = several[0], several[0].mean, several[0].precision
+    if len(several) > 1:
+        mean, precision = (np.stack([np.atleast_2d(getattr(one, k))[0] for one in several]) for k in _OWN)
+    each = several if len(several) == len(numbers) else [terms] * len(numbers)
+    spreads, weights, taps = spreads_of([one.gaussians for one in each] or [terms.gaussians], numbers)
+    radii = np.array([len(t) // 2 for t in taps], np.int32)
+    arrays = (terms.offset, mean, precision, terms.data, terms.full.astype(np.uint8), terms.slopes, terms.bumps)
+    scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.edge**2, terms.gain)
+    own = np.array([(one.wrong, one.width) for one in each], np.float32)
+    whole = (*arrays, weights, radii, np.concatenate(taps))
+    return HostInputs(whole, mean.shape[1] if mean.ndim == 2 else 0, scalars, spreads, own, int(radii.max()))
+
+
+def spreads_of(
+    gaussians: Sequence[tuple[tuple[float, float], ...]], numbers: Sequence[int]
+) -> tuple[NDArray[np.int32], Numbers, list[Numbers]]:
+    """(N, 4) rows as the kernel reads them; weights and taps of all components that poses have, each spread once."""
+    places: dict[tuple[tuple[float, float], ...], tuple[int, int, int]] = {}
+    weights: list[float] = []
+    taps: list[Numbers] = []
+    for spread in gaussians:
+        if spread not in places:
+            places[spread] = len(taps), len(spread), sum(map(len, taps))
+            weights += [weight for weight, _ in spread]
+            taps += [_taps(sigma) for _, sigma in spread]
+    rows = [(*places[spread], number) for spread, number in zip(gaussians, numbers, strict=False)]
+    return np.array(rows, np.int32).reshape(-1, 4), np.array(weights, np.float32), taps
+
+
+def _taps(sigma: float) -> Numbers:
+    radius = max(1, int(np.ceil(_REACH * sigma)))
+    taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / max(sigma, 1e-3)) ** 2)
+    return np.asarray(taps / taps.sum(), np.float32)
