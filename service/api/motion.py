@@ -117,7 +117,7 @@ class PassMotion(Wire):
     span_s: float
     frames: MotionFrames
     probability: float
-    """That the object took this course of orientations, whichever the model."""
+    """That the object took this course of orientations, whichever the model; where no frame is sure, it may be none."""
     angular_velocity_body_deg_s: Vector
     sigma_deg_s: Vector
     covariance_body_deg2_s2: list[list[float]]

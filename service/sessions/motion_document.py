@@ -18,16 +18,19 @@ from service.sessions.frame import format_time
 
 _SEEN_SIGMAS = 3.0  # a rate that is less is told without a period
 _LEAST_TOLD = 0.001  # probability of a course that is listed
-_DECIDED = 0.9  # probability from which one course is told as the answer
+DECIDED = 0.9  # probability from which one course is told as the answer
 _MOST_EXPLAINED = 0.5  # share of the frames that a motion should explain
 _POINTED = ("nadir_pointing", "yaw_steering", "sun_pointing")
 _AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 
 
 def motion_document(
-    session_id: str, found: PassMotion, stored: int, epoch: datetime, *, absolute: bool
+    session_id: str, found: PassMotion, stored: int, epoch: datetime, *, absolute: bool, among: float = 1.0
 ) -> Mapping[str, Any]:
-    """``epoch``: of the reference time; ``absolute``: rotations are against GCRF, else against the camera."""
+    """``epoch``: of the reference time; ``absolute``: rotations are against GCRF, else against the camera.
+
+    ``among``: probability that the truth is among the modes of the frames at all.
+    """
     lead = found.best_of(found.model)
     courses = found.courses()
     return {
@@ -39,7 +42,7 @@ def motion_document(
         "span_s": 2 * found.half_span_s,
         "frames": {"stored": stored, "used": found.n_frames, "explained": lead.explained},
         **_turning(lead, absolute),
-        "probability": _probability(courses, lead, found),
+        "probability": among * _probability(courses, lead, found),
         "alternatives": [
             {"probability": min(p, 1.0), "model": basin.model, **_short(basin, absolute)}
             for p, basin in courses
@@ -48,7 +51,7 @@ def motion_document(
         "attitude_mode": None if found.attitude is None else _attitude_mode(found.attitude),
         "inertia": _inertia(lead) if found.model == "tumbling" else None,
         "errors": {"scale": lead.scale, "independent_frames": lead.independent},
-        "warnings": _warnings(found, lead, courses, absolute),
+        "warnings": _warnings(found, lead, courses, absolute, among),
     }
 
 
@@ -145,13 +148,17 @@ def _probability(courses: list[tuple[float, Basin]], lead: Basin, found: PassMot
     return float(min(sum(same), 1.0))
 
 
-def _warnings(found: PassMotion, lead: Basin, courses: list[tuple[float, Basin]], absolute: bool) -> list[str]:
+def _warnings(
+    found: PassMotion, lead: Basin, courses: list[tuple[float, Basin]], absolute: bool, among: float
+) -> list[str]:
     out = []
+    if among < DECIDED:
+        out.append("in no frame is it sure that the model explains what is seen: the truth may be none of the courses")
     if not absolute:
         out.append("the camera's orientation is not known in every frame: rates and axes are against the camera")
     elif found.attitude is None:
         out.append("the attitude mode is not known: it needs the object's orbit, prior.orbit")
-    if _probability(courses, lead, found) < _DECIDED:
+    if _probability(courses, lead, found) < DECIDED:
         out.append("several motions explain these frames: see alternatives")
     if lead.explained < _MOST_EXPLAINED:
         out.append("less than half of the frames are explained: no motion of a free or steadily turning body fits")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -12,6 +12,7 @@ import orjson
 from service.errors import ConflictError, NotFoundError
 from service.inference.spin.passes import LEAST_PASSES
 from service.sessions.frame import format_time
+from service.sessions.motion_document import DECIDED
 from service.sessions.pass_motion import PassMotions
 from service.sessions.spin_document import spin_document
 from service.store import frames, objects
@@ -103,10 +104,8 @@ class Objects:
             except ConflictError as error:
                 left_out.append({"pass": number, "reason": error.detail})
                 continue
-            if one["relative_to"] != "GCRF" or one["period_s"] is None:
-                reason = (
-                    "no turning is seen" if one["relative_to"] == "GCRF" else "the camera's orientation is not known"
-                )
+            reason = _not_counted(one)
+            if reason is not None:
                 left_out.append({"pass": number, "reason": reason})
                 continue
             found.append(one)
@@ -126,6 +125,15 @@ def passes_of(spans: Iterable[tuple[SessionKey, Span]]) -> list[list[tuple[Sessi
         found[-1].append((session, (first, end)))
         last = end if last is None else max(last, end)
     return found
+
+
+def _not_counted(motion: Mapping[str, Any]) -> str | None:
+    """Why a pass tells nothing of the spin over passes; None: it does."""
+    if motion["relative_to"] != "GCRF":
+        return "the camera's orientation is not known"
+    if motion["period_s"] is None:
+        return "no turning is seen"
+    return "its motion is not decided" if motion["probability"] < DECIDED else None
 
 
 def object_document(record: ObjectRecord) -> dict[str, Any]:

@@ -41,6 +41,7 @@ class _Facts:
     counts: bool
     camera: Array | None  # (4,) camera -> GCRF, towards where in the image the object was
     model: str | None
+    fits: float  # probability that the truth is among the modes
 
 
 class PassMotions:
@@ -89,6 +90,7 @@ class PassMotions:
             sum(record.next_index for record in records),
             seen[0].zero + timedelta(seconds=found.reference_s),
             absolute=job.cameras is not None,
+            among=max((one.fits for part in seen for one in part.facts if one.counts), default=1.0),
         )
         return orjson.dumps(answer)
 
@@ -106,7 +108,9 @@ class PassMotions:
 
 def _facts(document: bytes) -> _Facts:
     estimate = orjson.loads(document)
-    return _Facts(estimate["time"], estimate["status"] not in _UNSEEN, absolute_camera(estimate), model_of(estimate))
+    counts, told = estimate["status"] not in _UNSEEN, estimate.get("probabilities")
+    fits = 1.0 if told is None else float(told["fits"])  # the published filter tells none
+    return _Facts(estimate["time"], counts, absolute_camera(estimate), model_of(estimate), fits)
 
 
 @dataclass(frozen=True)

@@ -132,3 +132,22 @@ async def test_without_a_camera_rates_are_against_the_image(make_app):
 
 def vector(axes: dict[str, float]) -> np.ndarray:
     return np.array([axes[name] for name in "xyz"])
+
+
+class Doubting(Turning):
+    """The same, never sure that it is this body."""
+
+    def track(self, job):
+        report = super().track(job)
+        return replace(report, estimate=replace(report.estimate, probabilities=np.array([0.0, 0.62, 0.38])))
+
+
+async def test_a_course_is_as_probable_as_that_the_truth_is_among_the_modes(make_app):
+    async with running(make_app(Doubting)) as api:
+        session_id = await api.ready_session(CUBE)
+        for n in range(12):
+            time = (START + timedelta(seconds=n / 2)).isoformat()
+            assert (await api.post(session_id, n, time=time, **CAMERA)).status_code == 200
+        found = (await api.http.get(f"/v1/sessions/{session_id}/motion")).json()
+    assert 0.5 < found["probability"] <= 0.62
+    assert any("in no frame is it sure" in warning for warning in found["warnings"])
