@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 from server_process import ROOT, Server
-from watching import agree, picture_shows, shows, silhouette_of_service, silhouette_on_screen, stage
+from watching import agree, open_session, picture_shows, shows, silhouette_of_service, silhouette_on_screen, stage
 
 FRAMES = 8
 
@@ -91,6 +91,27 @@ def scrub(page) -> None:
     shows(page, FRAMES - 1)
     page.get_by_role("button", name="Live").click()
     expect(page.get_by_role("button", name="Live")).to_have_attribute("aria-pressed", "true")
+
+
+def test_outlines_are_seen_through_the_sessions_lens(tracker, folder, open_page):
+    with httpx.Client(base_url=tracker.url, timeout=300.0) as client:
+        with (folder / "demo.glb").open("rb") as file:
+            model = client.post("/v1/models", files={"file": file}).json()["model_id"]
+        camera = {"perspective": 140.0, "principal_point": [30.0, 64.0]}
+        config = {"model_id": model, "camera": camera, "joints": {"free": ["wing"]}}
+        here = f"/v1/sessions/{client.post('/v1/sessions', json=config).json()['session_id']}"
+        png = {"Content-Type": "image/png"}
+        for path in sorted((folder / "background").iterdir())[:3]:
+            client.post(f"{here}/background", content=path.read_bytes(), headers=png)
+        assert client.post(
+            f"{here}/frames", content=(folder / "frames" / "000.png").read_bytes(), headers=png
+        ).is_success
+    page = open_page(tracker.url)
+    open_session(page, here.rsplit("/", 1)[1])
+    shows(page, 0)
+    picture_shows(page, 0)
+    seen = silhouette_on_screen(page)
+    assert agree(seen, silhouette_of_service(tracker.url + here, 0, seen.shape)) > 0.95
 
 
 def test_what_the_service_refuses_is_told(tracker, folder, tmp_path, open_page):
