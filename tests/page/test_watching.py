@@ -1,6 +1,7 @@
 """Watching a session that others feed: nothing lost, nothing shown late without a mark, over restarts too."""
 
 import os
+import re
 import signal
 import statistics
 import time
@@ -123,6 +124,26 @@ def test_a_look_at_the_past_stays_while_the_pass_goes_on(server, http, open_page
     assert shown(page) == 1
     page.keyboard.press("l")
     shows(page, 5)
+
+
+def test_a_service_that_goes_while_a_session_is_opened(server, http, open_page):
+    """First no answer, then no connection: marked from the start, and made good once the service is back."""
+    given = fake_pass(1)
+    first, second = begin(http, given, name="body.glb"), begin(http, given, name="body.glb")
+    http.put(f"/v1/sessions/{second}/frames/0", content=given.frames[0], headers=PNG).raise_for_status()
+    page = open_page(f"{server.url}/#{first}", expect_failures=True)
+    is_live(page)
+    calls, held = re.compile(f"/v1/sessions/{second}(/.*)?$"), []
+    page.route(calls, lambda route: held.append(route))
+    open_session(page, second)
+    is_stale(page)
+    page.route(calls, lambda route: route.abort("connectionrefused"))
+    for route in held:
+        route.abort("connectionrefused")
+    is_stale(page)
+    page.unroute(calls)
+    is_live(page)
+    shows(page, 0)
 
 
 def test_an_orderly_end_is_stale_too(server, http, open_page):

@@ -1,10 +1,14 @@
-// The live stream of a session: a WebSocket that resumes after the last event it gave, and knows when it is stale.
+// The live stream of a session: what comes before it, then a WebSocket that resumes after the last event it gave. It
+// knows when what is shown is stale.
+import { Offline } from "./api.js";
+
 const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 5000;
 
 export class Stream {
-  // handlers: estimate(document), resync(), end(reason), state(); `ticket()` gives the query that opens the socket
-  constructor(sessionId, seq, { ticket, heartbeatS, ...handlers }) {
-    Object.assign(this, { sessionId, seq, ticket, handlers });
+  // handlers: estimate(document), resync(), problem(error), state(); `begin()` gives the event to go on after, and is
+  // asked again until it does; `ticket()` gives the query that opens the socket
+  constructor(sessionId, { begin, ticket, heartbeatS, ...handlers }) {
+    Object.assign(this, { sessionId, begin, ticket, handlers, seq: null, told: new Set() });
     this.silenceMs = 2.5 * heartbeatS * 1000;
     this.wait = FIRST_WAIT_MS;
     this.state = "connecting";
@@ -27,10 +31,12 @@ export class Stream {
     this.timer = null;
     let query;
     try {
+      this.seq ??= await this.begin();
+      if (this.closed) return;
       query = await this.ticket(this.sessionId);
     } catch (error) {
-      if (error.status === 404) return this.finish("deleted");
-      return this.lose();
+      if (error.status === 404 && this.seq !== null) return this.finish();
+      return this.lose(error);
     }
     if (this.closed) return;
     const scheme = location.protocol === "https:" ? "wss" : "ws";
@@ -45,7 +51,7 @@ export class Stream {
   take(message) {
     this.hear("live");
     if (message.type === "resync-required") this.handlers.resync();
-    else if (message.type === "end" && message.reason !== "shutdown") this.finish(message.reason);
+    else if (message.type === "end" && message.reason !== "shutdown") this.finish();
     else if (message.type === "estimate") this.handlers.estimate(message.estimate);
     this.seq = message.seq;
   }
@@ -55,8 +61,13 @@ export class Stream {
     this.become(state);
   }
 
-  lose() {
+  // The mark of staleness says that the service is away; anything else that stands in the way is told, once.
+  lose(error = null) {
     if (this.closed || this.state === "ended") return;
+    if (error && !isAway(error) && !this.told.has(error.message)) {
+      this.told.add(error.message);
+      this.handlers.problem(error);
+    }
     this.become("lost");
     this.retry(this.wait);
     this.wait = Math.min(this.wait * 2, LONGEST_WAIT_MS);
@@ -67,9 +78,8 @@ export class Stream {
     this.timer = setTimeout(() => this.connect(), waitMs);
   }
 
-  finish(reason) {
+  finish() {
     this.become("ended");
-    this.handlers.end(reason);
     this.close();
   }
 
@@ -87,4 +97,8 @@ export class Stream {
     if (socket?.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close(); // the browser would complain
     else socket?.close();
   }
+}
+
+function isAway(error) {
+  return error instanceof Offline || error.status >= 500;
 }

@@ -37,32 +37,32 @@ export class Watch {
     views.timeline.show({ index: 0, count: 0, live: true, rows: [] });
     views.heading.open(session);
     delete document.documentElement.dataset.shown;
-    this.history = new History(this.api, session.session_id);
-    this.begin(session, this.history).catch(tellProblem);
-  }
-
-  async begin(session, mine) {
-    this.modelId = null;
-    await this.setModel(session.model_id ?? session.model_ids[0]);
-    for (const id of session.model_ids ?? []) this.learnName(id).catch(tellProblem);
-    const now = await this.api.json(`/v1/sessions/${session.session_id}`); // its last_seq, before its history is read
-    await mine.load(now.frames);
-    if (this.history !== mine) return;
-    this.frames = Math.max(this.frames, now.frames);
-    if (mine.rows.length) this.showNewest();
-    this.connect(now.last_seq);
-  }
-
-  connect(seq) {
-    const { session } = this;
-    this.stream = new Stream(session.session_id, seq, {
+    const mine = this.history = new History(this.api, session.session_id);
+    this.stream = new Stream(session.session_id, {
       heartbeatS: this.heartbeatS,
+      begin: () => this.begin(session, mine),
       ticket: (id) => this.ticket(id),
       estimate: (estimate) => this.take(estimate),
       resync: () => this.open(session),
-      end: () => this.tick(),
+      problem: tellProblem,
       state: () => this.tick(),
     });
+  }
+
+  // Model and history, before the stream. Resolves to the event after which the stream goes on.
+  async begin(session, mine) {
+    this.modelId = null;
+    await this.setModel(session.model_id ?? session.model_ids[0]);
+    if (this.history !== mine) return null;
+    this.stream.hear("connecting");
+    const now = await this.api.json(`/v1/sessions/${session.session_id}`); // its last_seq, before its history is read
+    await mine.load(now.frames);
+    if (this.history !== mine) return null;
+    this.stream.hear("connecting");
+    this.frames = Math.max(this.frames, now.frames);
+    if (mine.rows.length) this.showNewest();
+    for (const id of session.model_ids ?? []) this.learnName(id).catch(tellProblem);
+    return now.last_seq;
   }
 
   // A browser cannot send its key with a WebSocket: a ticket stands for it, once. The first call finds out whether a
