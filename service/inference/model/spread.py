@@ -1,7 +1,7 @@
 """The point spread K of docs/model.md, section 2: a Gaussian core, turbulent wings, and what both do to a drawing.
 
 The transfer function exp(-k^2 s^2 / 2 - (k w)^(5/3)) belongs to a stable law of index 5/3, which is a mixture of
-Gaussians; three of them hold it to 0.4 % of its height. Blurring is then a few products with band matrices.
+Gaussians; three of them hold it to 0.4 % of its height.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial, sqrt
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +19,7 @@ Images = NDArray[np.float32]
 # Weights, and widths in units of w, of the Gaussians whose sum is nearest to exp(-x^(5/3)) for x in 0 to 4.
 MIXTURE_WEIGHTS = (0.6246, 0.3227, 0.0527)
 MIXTURE_WIDTHS = (1.164, 1.936, 5.691)
+_REACH = 5.5  # sigmas of a Gaussian that are summed: beyond them lies less than a float32's rounding
 _LEAST = 1e-12  # of a Gaussian's height: products of numbers too small for a float32's exponent take 30 times as long
 
 
@@ -47,8 +49,8 @@ def spread(images: Images, point_spread: PointSpread, low_pass: float) -> Images
     """(..., S, S) drawings -> the same as the camera and the frame's low pass (Gaussian, px) leave them."""
     out = np.zeros_like(images)
     for weight, sigma in point_spread.gaussians(low_pass):
-        matrix = band(images.shape[-1], round(sigma, 4))
-        out += np.float32(weight) * (matrix @ images @ matrix)
+        smooth = taps(images.shape[-1], round(sigma, 4))
+        out += _swept(images, smooth, np.float32(weight) * smooth)
     return out
 
 
@@ -56,24 +58,49 @@ def spread_slopes(images: Images, point_spread: PointSpread, low_pass: float) ->
     """``spread``, and its slopes along x and y: the Gaussians' own, so nothing is differenced."""
     blurred, dx, dy = (np.zeros_like(images) for _ in range(3))
     for weight, sigma in point_spread.gaussians(low_pass):
-        matrix, slope = (of(images.shape[-1], round(sigma, 4)) for of in (band, band_slope))
-        along = np.float32(weight) * (matrix @ images)
-        blurred += along @ matrix
-        dx += along @ slope.T
-        dy += np.float32(weight) * (slope @ (images @ matrix))
+        smooth, slope = (of(images.shape[-1], round(sigma, 4)) for of in (taps, slope_taps))
+        share = np.float32(weight)
+        blurred += _swept(images, smooth, share * smooth)
+        dx += _swept(images, slope, share * smooth)
+        dy += _swept(images, smooth, share * slope)
     return blurred, dx, dy
 
 
+def _swept(images: Images, across: Images, down: Images) -> Images:
+    """(..., S, S) correlated with taps along x and along y; beyond the border is nothing."""
+    flat = np.ascontiguousarray(images, np.float32).reshape(-1, *images.shape[-2:])
+    out = np.empty_like(flat)
+    for one, to in zip(flat, out, strict=True):
+        cv2.sepFilter2D(one, cv2.CV_32F, across, down, dst=to, borderType=cv2.BORDER_CONSTANT)
+    return out.reshape(images.shape)
+
+
 @lru_cache(maxsize=256)
-def band_slope(side: int, sigma: float) -> NDArray[np.float32]:
-    """(side, side) derivative of ``band`` by where it looks; a ramp's is exact."""
-    gap = np.subtract.outer(np.arange(side), np.arange(side)).astype(np.float64)
+def taps(side: int, sigma: float) -> Images:
+    """(2 r + 1,) of a Gaussian blur, as far as it matters to a picture ``side`` px wide."""
+    reach = _reach(side, sigma)
+    kernel = np.exp(-0.5 * (reach / max(sigma, 1e-3)) ** 2)
+    return _kept(kernel / kernel.sum())
+
+
+@lru_cache(maxsize=256)
+def slope_taps(side: int, sigma: float) -> Images:
+    """(2 r + 1,) of its derivative by place; a ramp's is exact."""
     width = max(sigma, 0.4)  # a narrower one falls between the pixels
-    kernel, reach = -gap * np.exp(-0.5 * (gap / width) ** 2), np.arange(-side, side + 1)
-    kernel[np.abs(kernel) < _LEAST] = 0.0
-    matrix = np.asarray(kernel / (reach**2 * np.exp(-0.5 * (reach / width) ** 2)).sum(), np.float32)
-    matrix.flags.writeable = False
-    return matrix
+    reach = _reach(side, width)
+    kernel = reach * np.exp(-0.5 * (reach / width) ** 2)
+    return _kept(kernel / (reach * kernel).sum())
+
+
+def _reach(side: int, sigma: float) -> NDArray[np.int64]:
+    radius = min(max(int(np.ceil(_REACH * sigma)), 1), side)
+    return np.arange(-radius, radius + 1)
+
+
+def _kept(kernel: NDArray[np.float64]) -> Images:
+    out = kernel.astype(np.float32)
+    out.flags.writeable = False
+    return out
 
 
 @lru_cache(maxsize=256)

@@ -176,7 +176,7 @@ def test_saturated_pixels_say_at_least_this_and_do_not_move_the_pose(censored):
     found = climbed(hill(clipped), pose(), steps=20)
     error = local(pose(), found.pose)[0]
     squares = error @ np.linalg.solve(found.covariance, error)
-    assert squares < 30.0 if censored else squares > 100.0
+    assert squares < 1.0 if censored else squares > 10.0
 
 
 def test_the_light_of_a_saturated_frame_is_found_in_few_rounds():
