@@ -28,6 +28,7 @@ _NEAR_STAR = 0.06  # share of the diagonal within which even something so small 
 _LEAST_BRIGHT_PX = 64
 _MARGIN = 0.3  # sky on each side of the light, as a share of its longer side
 _LEAST_MARGIN_PX = 6
+_COARSER = 1.2  # numerical: a patch coarser by less saves nothing
 
 
 @dataclass(frozen=True)
@@ -43,18 +44,18 @@ class Light:
 
     def covers(self, square: Square) -> bool:
         """Whether a square lies within it."""
-        (x, y), (left, top), size = square.first, self.origin, square.side * square.binning
+        (x, y), (left, top), size = square.first, self.origin, square.across
         height, width = self.image.shape
         return left <= x and top <= y and x + size <= left + width and y + size <= top + height
 
 
 @dataclass(frozen=True)
 class Square:
-    """Part of a frame in squares of pixels."""
+    """Part of a frame, to be drawn more coarsely."""
 
     first: tuple[int, int]  # corner, frame px
-    side: int  # in squares
-    binning: int  # px a square
+    across: int  # a side, frame px
+    side: int  # the same, patch px
 
 
 @dataclass(frozen=True)
@@ -87,15 +88,15 @@ class Pieces:
 
 @dataclass(frozen=True)
 class Patch:
-    """A square of the frame in squares of ``binning`` px, its first corner at ``origin``; counts per frame pixel."""
+    """A square of the frame, its pixels means over ``binning`` frame px a side; counts per frame pixel."""
 
     image: Map  # (S, S)
     sigma: float  # noise of one patch pixel
     photon: float
     hidden: float
     censored: NDArray[np.bool_]  # (S, S)
-    origin: tuple[float, float]  # frame px
-    binning: int
+    origin: tuple[float, float]  # of its first corner, frame px
+    binning: float  # frame px a patch px
 
     @property
     def side(self) -> int:
@@ -216,32 +217,32 @@ def find_light(light: Light, pieces: Pieces | None = None, *, specks: bool = Fal
 
 
 def square_around(centre: tuple[float, float], span_px: float, wanted: float) -> Square:
-    """The square around ``centre`` that holds a body spanning ``span_px``, binned so that it spans about ``wanted``."""
-    binning = max(1, round(span_px / wanted))
+    """The square around ``centre`` that holds a body spanning ``span_px``, in which it spans about ``wanted``."""
+    binning = span_px / wanted if span_px > _COARSER * wanted else 1.0
     margin = max(_MARGIN * span_px, _LEAST_MARGIN_PX * binning)
     side = int(np.ceil((span_px + 2 * margin) / binning))
     side += -side % 16  # rows of whole lanes
-    x, y = (int(np.floor(c - 0.5 * side * binning)) for c in centre)
-    return Square((x, y), side, binning)
+    across = round(side * binning)
+    x, y = (int(np.floor(c - 0.5 * across)) for c in centre)
+    return Square((x, y), across, side)
 
 
 def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float) -> Patch:
     """The light of a square (``square_around``); what lies beyond ``light`` is not known."""
     square = square_around(centre, span_px, wanted)
-    side, binning = square.side, square.binning
+    binning, size = square.across / square.side, (square.side, square.side)
     height, width = light.image.shape
-    columns, rows = (square.first[k] - light.origin[k] + np.arange(side * binning) for k in (0, 1))
+    columns, rows = (square.first[k] - light.origin[k] + np.arange(square.across) for k in (0, 1))
     inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
     index = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
     image = np.where(inside, light.image[index], 0.0).astype(np.float32)
-    censored = light.censored[index] | ~inside
-    blocks = (side, binning, side, binning)
+    censored = (light.censored[index] | ~inside).astype(np.float32)
     return Patch(
-        image=image.reshape(blocks).mean(axis=(1, 3)),
+        image=np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32),
         sigma=light.sigma / binning,
         photon=light.photon / binning**2,
         hidden=light.hidden,
-        censored=censored.reshape(blocks).any(axis=(1, 3)),
+        censored=cv2.resize(censored, size, interpolation=cv2.INTER_AREA) > 0,
         origin=(float(square.first[0]), float(square.first[1])),
         binning=binning,
     )

@@ -50,8 +50,8 @@ class PatchLike(Protocol):
         ...
 
     @property
-    def binning(self) -> int:
-        """Frame px a side of a patch pixel."""
+    def binning(self) -> float:
+        """Frame px a patch px."""
         ...
 
 
@@ -103,7 +103,7 @@ def stage_hill(
     """What poses climb on at a stage; no finer than the point spread lets anything through."""
     blurred = SAMPLED * sight.span / nuisance.point_spread(1).width
     patch = sight.cut(sight.span, min(stage.wanted, blurred))
-    grain = max(1, round(sight.span / stage.wanted)) / patch.binning
+    grain = max(1.0, sight.span / stage.wanted) / patch.binning
     spread = nuisance.point_spread(patch.binning)
     scene = Scene(
         patch.image,

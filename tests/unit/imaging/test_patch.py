@@ -168,6 +168,23 @@ def test_squares_of_pixels_are_their_means_and_their_noise_is_less():
     assert found.image[inside].mean() == pytest.approx(3.0, abs=0.05)
 
 
+@pytest.mark.parametrize("span_px", [100.0, 110.0, 130.0])
+def test_a_patch_of_parts_of_pixels_keeps_light_place_and_noise(span_px):
+    """After the low pass that the likelihood gives it, noise is that of as many whole pixels."""
+    rows, columns = np.mgrid[:400, :400] + 0.5
+    spot = 500 * np.exp(-0.5 * ((columns - 207.3) ** 2 + (rows - 191.6) ** 2) / 6.0**2)
+    found = cut(light(spot), (200.0, 200.0), span_px, 80.0)
+    assert found.binning == pytest.approx(span_px / 80, abs=0.01)
+    assert found.image.sum() * found.binning**2 == pytest.approx(spot.sum(), rel=1e-3)
+    at = np.arange(found.side) + 0.5
+    middle = np.array([found.image.sum(0) @ at, found.image.sum(1) @ at]) / found.image.sum()
+    assert middle * found.binning + found.origin == pytest.approx((207.3, 191.6), abs=0.02)
+    assert found.image.max() == pytest.approx(500.0, rel=0.03)
+    some = cut(light(noise(shape=(400, 400))), (200.0, 200.0), span_px, 80.0)
+    smooth = gaussian_filter(some.image, 1.0)[8:-8, 8:-8]
+    assert smooth.std() == pytest.approx(some.sigma / (2 * np.sqrt(np.pi)), rel=0.1)
+
+
 @pytest.mark.parametrize("centre", [(2.0, 60.0), (80.0, 118.0), (0.0, 0.0), (-500.0, 60.0)])
 def test_outside_of_the_frame_nothing_is_known(centre):
     image = noise() + 5.0

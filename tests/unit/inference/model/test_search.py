@@ -103,7 +103,7 @@ def test_a_pose_is_found_from_nothing(seed, scale_told):
 def test_a_large_body_is_found_on_squares_of_pixels_some_of_them_outside_of_the_frame():
     at = replace(truth(5, False, rim_px=82.0), position=np.array([[88.0, 88.0]]))
     found = search(body(False), sight_of(at, 176), bank(False), TOLD)
-    assert found.hill.view.binning == 2 and found.hill.scene.full.mean() > 0.3
+    assert 1.2 < found.hill.view.binning < 2.0 and found.hill.scene.full.mean() > 0.3
     assert off_deg(found.basins[0].pose, at) < 2.0
     assert np.abs(found.basins[0].pose.position - at.position).max() < 0.5
 
@@ -130,7 +130,7 @@ def test_a_sight_that_is_hardly_wider_is_not_looked_at():
 def test_a_basin_beside_the_truth_is_left_by_shaking_and_the_truth_is_not():
     at = replace(truth(4, True), joints=np.array([[179.0]]))
     hill = rough_hill(sight_of(at))
-    beside = retract(at, 0.25 * np.eye(7)[1:2])
+    beside = retract(at, 0.35 * np.eye(7)[1:2])
     one = ascend(hill, beside, SUN[None], steps=1, covariance="last")[0]
     best = max(shaken(hill, one), key=lambda found: found.log_posterior)
     assert best.log_posterior > one.log_posterior + 1.0
