@@ -96,9 +96,10 @@ def propose(rng: np.random.Generator, before: Mixture | None, given: Given) -> F
     def alike(poses: Poses) -> Poses:
         return given.domain.wrap(concatenate(*[twin(poses, symmetry) for symmetry in given.twins]))
 
-    shaken = rng if before else None
-    equivalents = alike if given.twins else None
-    return search(given.body, given.frame.sight, given.bank(), given.told, given.frame.wide, shaken, equivalents)
+    first = before is None  # the next frame's search shakes what this one finds
+    moved, equivalents = None if first else rng, alike if given.twins else None
+    look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
+    return search(*look, moved, equivalents, shake=not first)
 
 
 def search_due(before: Mixture | None) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,15 +41,18 @@ def build(drawing: Drawing, suns: Array, tracking: SunTracking | None = None) ->
     if tracking is not None:
         first = tracking.pointed(first, suns)
         joints = first.joints
-    moments = [T.lit_moments(light) for light, _ in _draw(drawing, first, suns, draft, _DRAFT)]
-    centre, rim = (np.concatenate(part) for part in zip(*moments, strict=True))
-    zoom = T._RIM_PX / rim
-    poses = Poses(quaternion, (middle - centre) * zoom[:, None] + T.SIDE / 2, size + np.log(zoom), joints)
-    view = View((0.0, 0.0), 1.0, T.SIDE)
-    kinds, done = np.empty((len(T.KINDS), count, T.SIDE**2), np.float32), 0
-    for light, outline in _draw(drawing, poses, suns, view, _PICTURE):
-        T.kinds_of(light, outline, kinds[:, done : done + len(light)])
-        done += len(light)
+    with ThreadPoolExecutor(1) as other:  # the next pictures are drawn meanwhile
+        looks = [other.submit(T.lit_moments, light) for light, _ in _draw(drawing, first, suns, draft, _DRAFT)]
+        centre, rim = (np.concatenate(part) for part in zip(*[one.result() for one in looks], strict=True))
+        zoom = T._RIM_PX / rim
+        poses = Poses(quaternion, (middle - centre) * zoom[:, None] + T.SIDE / 2, size + np.log(zoom), joints)
+        view = View((0.0, 0.0), 1.0, T.SIDE)
+        kinds, done, made = np.empty((len(T.KINDS), count, T.SIDE**2), np.float32), 0, []
+        for light, outline in _draw(drawing, poses, suns, view, _PICTURE):
+            made.append(other.submit(T.kinds_of, light, outline, kinds[:, done : done + len(light)]))
+            done += len(light)
+        for one in made:
+            one.result()
     return T.Bank(suns, poses, kinds)
 
 

@@ -74,9 +74,12 @@ def search(
     wide: Sight | None = None,
     rng: np.random.Generator | None = None,
     alike: Callable[[Poses], Poses] | None = None,
+    *,
+    shake: bool = True,
 ) -> Found:
     """All that a frame alone says of a pose.
 
+    ``shake``: False leaves what lies around the best to a later search.
     ``alike``: poses whose outline is that of the given ones; light decides between them.
     ``rng`` moves the templates' poses by half of what lies between them: searches that err do not err alike.
     ``wide``: a sight of more, in case that the body is more than what is seen at one place. The evidence of what both
@@ -109,7 +112,7 @@ def search(
         poses = alike(first.poses)
         suns = np.tile(first.suns, (len(poses) // len(first.poses), 1))
         some = joined([some, Candidates(poses, suns, np.full(len(poses), -np.inf))])
-    return finished(body, sight, some, nuisance, told)
+    return finished(body, sight, some, nuisance, told, shake)
 
 
 def started(
@@ -150,7 +153,9 @@ def jittered(
     return replace(some, poses=moved if tracking is None else tracking.pointed(moved, some.suns))
 
 
-def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior) -> Found:
+def finished(
+    body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior, shake: bool = True
+) -> Found:
     """The best basins at the finest stage: point spread and discrepancy found at the best of them, then held."""
     hill = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
     some = scored(hill, some)
@@ -166,7 +171,7 @@ def finished(body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, tol
     out = ascend(hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
     out.sort(key=lambda one: -one.log_posterior)
     out = [one for one in out if one.log_posterior > out[0].log_posterior - HOPELESS]
-    out += shaken(hill, out[0])
+    out += shaken(hill, out[0]) if shake else []
     out.sort(key=lambda one: -one.log_posterior)
     kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(_SAME_DEG))
     return Found([out[k] for k in kept], hill, nuisance)
