@@ -198,6 +198,10 @@ class Client:
         """Rate, period, axis and their trend over all passes of an object."""
         return self.call(calls.get(ObjectSpin, f"/v1/objects/{object_id}/spin"))
 
+    def object_report(self, object_id: str) -> bytes:
+        """The object for people, as one HTML file. Raises ``ClientError`` (409) before the first frame."""
+        return self.call(calls.get_bytes(f"/v1/objects/{object_id}/report"))
+
     def report(self, session_id: str) -> bytes:
         """The pass for people, as one HTML file. Raises ``ClientError`` (409) before the first frame."""
         return self.call(calls.get_bytes(f"/v1/sessions/{session_id}/report"))

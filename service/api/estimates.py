@@ -17,6 +17,7 @@ from service.api.description import bytes_answered
 from service.api.health import release
 from service.api.motion import PassMotion
 from service.api.paging import next_page, page_limit, page_response, problems
+from service.api.report_file import report_file
 from service.api.services import ServicesDep
 from service.exports.formats import FORMATS
 from service.sessions.particle_set import ParticleSet
@@ -151,13 +152,7 @@ async def read_report(session: ReadSession, session_id: str, services: ServicesD
 
     It loads nothing and holds no script. 409 before the first frame.
     """
-    body = await services.reports.of(session, release())
-    headers = {
-        "Content-Disposition": f'inline; filename="{session_id}.html"',
-        "Content-Security-Policy": "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
-        "frame-ancestors 'none'",
-    }
-    return Response(body, media_type="text/html", headers=headers)
+    return report_file(await services.reports.of(session, release()), session_id)
 
 
 @router.get(

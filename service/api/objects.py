@@ -9,10 +9,13 @@ from pydantic import Field
 
 from service.api.auth import OperateObject, Operator, Reader, ReadObject
 from service.api.bodies import read_json
+from service.api.health import release
 from service.api.motion import PassMotion, Vector
 from service.api.paging import page_limit, problems, stored_page
+from service.api.report_file import report_file
 from service.api.services import ServicesDep
 from service.api.wire import Wire
+from service.sessions.object_report import object_report
 
 router = APIRouter(prefix="/v1/objects", tags=["objects"])
 
@@ -209,3 +212,16 @@ async def read_object_spin(held: ReadObject, services: ServicesDep) -> dict[str,
     409 unless a turning is seen against the stars in two passes.
     """
     return await services.objects.spin(held)
+
+
+@router.get(
+    "/{object_id}/report",
+    response_class=Response,
+    responses={200: {"content": {"text/html": {}}}, **problems(404, 409, 503)},
+)
+async def read_object_report(held: ReadObject, object_id: str, services: ServicesDep) -> Response:
+    """The object for people, as one HTML file: spin over its passes with its trend, and what each pass says.
+
+    It loads nothing and holds no script. 409 before the first frame.
+    """
+    return report_file(await object_report(services.objects, held, release()), object_id)

@@ -1,4 +1,4 @@
-"""``skypose report``: a pass as one file for people."""
+"""``skypose report``: a pass, or an object over its passes, as one file for people."""
 
 from __future__ import annotations
 
@@ -16,20 +16,23 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-sta
 
 
 def report(
-    session: Annotated[str, typer.Argument(help="The session's id.")],
-    out: Annotated[Path | None, typer.Option(help="File to write; by default the session's id with .html.")] = None,
+    session: Annotated[str | None, typer.Argument(help="The session's id.")] = None,
+    tracked: Annotated[str | None, typer.Option("--object", metavar="ID", help="Of an object.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; by default the id with .html.")] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="A PDF beside it, printed by a Chromium on the PATH.")] = False,
     url: Url = DEFAULT_URL,
     key: Key = None,
 ) -> None:
-    """Write the report of a pass: one HTML file that loads nothing (docs/report.md)."""
+    """Write the report of a pass, or of an object: one HTML file that loads nothing (docs/report.md)."""
+    if (session is None) == (tracked is None):
+        raise typer.BadParameter("give a session's id, or --object with an object's")
     browser = find_browser() if pdf else None
     if pdf and browser is None:
         typer.secho(f"--pdf needs one of {', '.join(_BROWSERS)} on the PATH", fg="red", err=True)
         raise typer.Exit(1)
     with connected(url, key) as client:
-        body = client.report(session)
-    path = out or Path(f"{session}.html")
+        body = client.object_report(tracked) if tracked is not None else client.report(str(session))
+    path = out or Path(f"{tracked or session}.html")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(body)
     typer.echo(path)

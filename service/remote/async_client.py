@@ -195,6 +195,10 @@ class AsyncClient:
         """Rate, period, axis and their trend over all passes of an object."""
         return await self.call(calls.get(ObjectSpin, f"/v1/objects/{object_id}/spin"))
 
+    async def object_report(self, object_id: str) -> bytes:
+        """The object for people, as one HTML file. Raises ``ClientError`` (409) before the first frame."""
+        return await self.call(calls.get_bytes(f"/v1/objects/{object_id}/report"))
+
     async def report(self, session_id: str) -> bytes:
         """The pass for people, as one HTML file. Raises ``ClientError`` (409) before the first frame."""
         return await self.call(calls.get_bytes(f"/v1/sessions/{session_id}/report"))

@@ -97,6 +97,10 @@ def _piece(scale: _Scale, seconds: Array, line: Line, piece: slice) -> str:
         around = _points(np.concatenate([x, x[::-1]]), np.concatenate([above, below[::-1]]))
         out = f'<polygon points="{around}" fill="{line.colour}" opacity=".22"/>'
     if len(x) == 1:
+        if line.sigma is not None:
+            ends = scale.y(values + np.array([-1.0, 1.0]) * line.sigma[piece])
+            places = f'x1="{x[0]:.1f}" x2="{x[0]:.1f}" y1="{ends[0]:.1f}" y2="{ends[1]:.1f}"'
+            out = f'<line {places} stroke="{line.colour}"/>'
         return out + f'<circle cx="{x[0]:.1f}" cy="{scale.y(values)[0]:.1f}" r="2" fill="{line.colour}"/>'
     return out + f'<polyline points="{_points(x, scale.y(values))}" fill="none" stroke="{line.colour}"/>'
 

@@ -6,14 +6,12 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from service.report.curves import absolute, charts, seconds_of
 from service.report.film import Shot, film, stills
-from service.report.sentences import attitude_sentence, told_probability, turning_sentence, with_sigma
+from service.report.sentences import attitude_sentence, turning_sentence
+from service.report.templating import template
 
 Document = Mapping[str, Any]
 _MOST_STILLS = 6
@@ -40,7 +38,7 @@ def report_html(facts: Facts) -> bytes:
     """The file."""
     chosen = [facts.shots[k] for k in evenly(len(facts.shots), _MOST_STILLS)]
     estimates = facts.estimates
-    page = _template().render(
+    page = template("report.html").render(
         facts=facts,
         session=facts.session,
         motion=facts.motion,
@@ -79,17 +77,3 @@ def _said(facts: Facts) -> list[str]:
 def _settings(session: Document) -> Document:
     sections = ("filter", "likelihood", "prior", "motion", "camera", "joints", "light", "background")
     return {name: session[name] for name in sections}
-
-
-@cache
-def _template() -> Template:
-    found = Environment(
-        loader=PackageLoader("service.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    found.filters["sigma"] = with_sigma
-    found.filters["probability"] = told_probability
-    return found.get_template("report.html")

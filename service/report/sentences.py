@@ -11,6 +11,8 @@ import numpy as np
 from service.report.curves import on_sphere_deg
 
 _SURE = 0.9  # probability below which it is said
+SEEN_SIGMAS = 3.0
+"""A change that is less is told as none."""
 _MODE_NAMES = {
     "inertially_fixed": "held still among the stars",
     "nadir_pointing": "nadir-pointing",

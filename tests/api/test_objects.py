@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from api_client import Api, running
 from fake_worker import CUBE, FakeWorker
+from test_report import Page
 
 from service.attitude.camera import equatorial_camera
 from service.client import AsyncClient
 from service.inference.belief import Belief
 from service.inference.pose import conjugate, exp_so3, from_matrices, multiply, rotation_matrices
 from service.inference.state import Poses
+from service.report.sentences import with_sigma
 from service.sessions.objects import passes_of
 
 pytestmark = pytest.mark.anyio
@@ -102,8 +104,12 @@ async def test_the_spin_over_passes(make_app, monkeypatch):
         async with AsyncClient("http://127.0.0.1", transport=api.http._transport) as client:
             made = await client.create_object("a box", [*sessions, short])
             found = await client.object_spin(made.object_id)
-            alone = (await client.create_object("once", sessions[:1])).object_id
+            page = Page((await client.object_report(made.object_id)).decode())
+            alone = (await client.create_object("<i>once</i>", sessions[:1])).object_id
         refused = await api.http.get(f"/v1/objects/{alone}/spin")
+        unknown = await api.http.get(f"/v1/objects/{alone}/report")
+        empty = (await api.http.post("/v1/objects", json={"name": "unseen"})).json()["object_id"]
+        assert (await api.http.get(f"/v1/objects/{empty}/report")).status_code == 409
     rate = float(np.linalg.norm(np.rad2deg(RATE)))
     assert [one.number for one in found.passes] == [0, 1, 2, 4]
     assert [one.number for one in found.left_out] == [3]
@@ -117,6 +123,14 @@ async def test_the_spin_over_passes(make_app, monkeypatch):
     assert abs(found.period_change_s_per_day) < 4 * found.period_change_sigma_s_per_day
     axis = [getattr(found.axis_gcrf, name) for name in "xyz"]
     np.testing.assert_allclose(axis, RATE / np.linalg.norm(RATE), atol=0.01)
+    assert not {"script", "link", "iframe"} & set(page.tags) and page.targets == []
+    assert f"It turns once in {with_sigma(found.period_s, found.period_sigma_s)} s" in page.text
+    assert "no change of the period is seen" in page.text and "pass 3" in page.text
+    assert found.left_out[0].reason in page.text and page.tags.count("svg") == 3
+    assert unknown.headers["content-security-policy"].startswith("sandbox; default-src 'none'")
+    known = Page(unknown.text)
+    assert "i" not in known.tags and "<i>once</i>" in known.text
+    assert f"not known: {refused.json()['detail']}" in known.text
     assert found.warnings[0] == "turns cannot be counted over 1 of 3 gaps: rates alone tell of these"
     assert (refused.status_code, refused.json()["passes"]) == (409, 1)
 

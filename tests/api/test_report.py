@@ -121,9 +121,17 @@ async def test_the_command_writes_a_page_and_prints_it(make_app, tmp_path, monke
         refused = await asyncio.to_thread(CliRunner().invoke, app, command)
         monkeypatch.setenv("PATH", f"{browser.parent}:/usr/bin:/bin")
         told = await asyncio.to_thread(CliRunner().invoke, app, command)
+        named = (await http.post("/v1/objects", json={"name": "a box", "sessions": [session_id]})).json()["object_id"]
+        page = ["report", "--object", named, "--out", str(tmp_path / "object.html"), "--url", f"http://{host}"]
+        of_object = await asyncio.to_thread(CliRunner().invoke, app, page)
+        neither = await asyncio.to_thread(CliRunner().invoke, app, ["report", "--url", f"http://{host}"])
+    assert of_object.exit_code == 0, of_object.output
+    assert "a box" in (tmp_path / "object.html").read_text()
+    assert neither.exit_code == 2
     assert refused.exit_code == 1
     assert "needs one of chromium" in refused.output
     assert told.exit_code == 0, told.output
-    assert told.stdout.splitlines()[-2:] == [str(tmp_path / "pass.html"), str(tmp_path / "pass.pdf")]
+    written = [line for line in told.stdout.splitlines() if line.startswith(str(tmp_path))]  # the server logs there too
+    assert written == [str(tmp_path / "pass.html"), str(tmp_path / "pass.pdf")]
     assert (tmp_path / "pass.html").read_text().startswith("<!doctype html>")
     assert (tmp_path / "pass.pdf").read_text() == "PDF\n"
