@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 
 from service.access.keys import utc_text
 from service.store import audit
-from service.store.base import AuditRecord
+from service.store.base import AuditRecord, Page
 from service.store.database import Database
 
 REFUSED = 400
@@ -93,10 +93,9 @@ class Audit:
             self._forgotten_at = now
             await self._database.write(audit.forget, utc_text(now - timedelta(days=self._days)), self._most)
 
-    async def page(self, tenant: str, after: int, limit: int) -> tuple[list[AuditRecord], int | None]:
-        """A tenant's entries after a cursor, and the cursor of the next page or None."""
-        found = await self._database.read(audit.page, tenant, after, limit + 1)
-        return found[:limit], found[limit - 1].number if len(found) > limit else None
+    async def page(self, tenant: str, after: int, limit: int) -> Page[AuditRecord]:
+        """A tenant's entries after a cursor."""
+        return await self._database.read(audit.page, tenant, after, limit)
 
     def _gather(self, record: AuditRecord) -> None:
         place = (record.tenant, record.actor, record.address, record.action, record.outcome)

@@ -12,13 +12,16 @@ import secrets
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 
+import structlog
+
 from service.access.principal import TENANT_PATTERN, KeyRates, Principal, Role
 from service.access.remembered import Remembered
-from service.errors import ConfigError, UnauthorizedError
+from service.errors import ConfigError, DamagedError, UnauthorizedError
 from service.store import api_keys
-from service.store.base import KeyRecord
+from service.store.base import KeyRecord, Page
 from service.store.database import Database
 
+log = structlog.get_logger(__name__)
 PREFIX = "skypose_"
 _KEY = re.compile(r"skypose_([0-9a-f]{8})_([A-Za-z0-9_-]{43})")
 _TOUCH_S = 300.0
@@ -87,10 +90,9 @@ class Keys:
         await self._database.write(api_keys.add, record, self._quota)
         return record, text
 
-    async def page(self, tenant: str, after: int, limit: int) -> tuple[list[KeyRecord], int | None]:
-        """A tenant's keys after a cursor, and the cursor of the next page or None."""
-        found = await self._database.read(api_keys.page, tenant, after, limit + 1)
-        return found[:limit], found[limit - 1].number if len(found) > limit else None
+    async def page(self, tenant: str, after: int, limit: int) -> Page[KeyRecord]:
+        """A tenant's keys after a cursor."""
+        return await self._database.read(api_keys.page, tenant, after, limit)
 
     async def revoke(self, tenant: str, key_id: str) -> None:
         """End a tenant's key, at once. Raises ``NotFoundError``."""
@@ -103,7 +105,7 @@ class Keys:
 
     async def is_active(self, key_id: str) -> bool:
         """Whether a key is still good."""
-        record = await self._database.read(api_keys.find, key_id)
+        record = await self._find(key_id)
         return record is not None and is_active(record, datetime.now(UTC))
 
     async def count_active(self) -> int:
@@ -122,9 +124,17 @@ class Keys:
         noted = self._noted.get(key_id)
         return noted is None or (at - noted).total_seconds() >= _TOUCH_S
 
+    async def _find(self, key_id: str) -> KeyRecord | None:
+        """One that is not as it was stored is none: whose it is, and what it may, is not known."""
+        try:
+            return await self._database.read(api_keys.find, key_id)
+        except DamagedError as error:
+            log.error("a damaged key was shown and not taken", key=key_id, reason=error.detail)
+            return None
+
     async def _look_up(self, text: str) -> Principal:
         shape = _KEY.fullmatch(text)
-        record = None if shape is None else await self._database.read(api_keys.find, shape[1])
+        record = None if shape is None else await self._find(shape[1])
         # One answer for every reason: nobody learns which ids exist.
         same = record is not None and hmac.compare_digest(record.sha256, _sha256(text))
         if record is None or not same or not is_active(record, datetime.now(UTC)):

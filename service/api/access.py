@@ -13,7 +13,7 @@ from service.access.keys import MAX_NAME
 from service.access.principal import KeyRates, Role
 from service.api.auth import Admin, Reader
 from service.api.bodies import read_json
-from service.api.paging import next_page, page_limit, page_response, problems
+from service.api.paging import page_limit, problems, stored_page
 from service.api.services import ServicesDep
 from service.api.wire import Wire
 
@@ -84,6 +84,8 @@ class ApiKeyList(Wire):
     """A page of keys."""
 
     keys: list[ApiKey]
+    damaged: list[str]
+    """Ids of keys that are not as they were stored: none of them is taken."""
     next: str | None
 
 
@@ -110,6 +112,8 @@ class AuditList(Wire):
     """A page of the audit log."""
 
     entries: list[AuditEntry]
+    damaged: list[str]
+    """Numbers of entries that are not as they were stored."""
     next: str | None
 
 
@@ -152,9 +156,9 @@ async def list_keys(
 ) -> Response:
     """The tenant's keys, without their secrets, also those that are no longer good."""
     limit = page_limit(limit, services.settings)
-    found, cursor = await services.keys.page(caller.tenant, after, limit)
-    documents = [orjson.dumps(_shown(asdict(record))) for record in found]
-    return page_response("keys", documents, next_page("/v1/keys", cursor, limit))
+    page = await services.keys.page(caller.tenant, after, limit)
+    documents = [orjson.dumps(_shown(asdict(record))) for record in page.records]
+    return stored_page("keys", documents, page.damaged, page.cursor, limit)
 
 
 @router.delete("/keys/{key_id}", status_code=204, responses=problems(404))
@@ -169,9 +173,9 @@ async def read_audit(
 ) -> Response:
     """The tenant's audit log, the oldest entry first. Who showed no good credential is in that of `default`."""
     limit = page_limit(limit, services.settings)
-    found, cursor = await services.audit.page(caller.tenant, after, limit)
-    documents = [orjson.dumps({k: v for k, v in asdict(record).items() if k != "tenant"}) for record in found]
-    return page_response("entries", documents, next_page("/v1/audit", cursor, limit))
+    page = await services.audit.page(caller.tenant, after, limit)
+    documents = [orjson.dumps({k: v for k, v in asdict(record).items() if k != "tenant"}) for record in page.records]
+    return stored_page("entries", documents, page.damaged, page.cursor, limit, "/v1/audit")
 
 
 def _shown(record: dict[str, Any]) -> dict[str, Any]:

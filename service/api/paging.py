@@ -31,10 +31,15 @@ def next_page(path: str, cursor: int | None, limit: int, more: str = "") -> str 
 
 
 def stored_page(
-    name: str, documents: Iterable[bytes], damaged: Sequence[str], cursor: int | None, limit: int
+    name: str,
+    documents: Iterable[bytes],
+    damaged: Sequence[str],
+    cursor: int | None,
+    limit: int,
+    path: str | None = None,
 ) -> Response:
-    """A page of what ``/v1/{name}`` lists, with the ids of what is damaged."""
-    return _response(name, documents, damaged=damaged, next=next_page(f"/v1/{name}", cursor, limit))
+    """A page of what ``/v1/{name}`` (or ``path``) lists, with the ids of what is damaged."""
+    return _response(name, documents, damaged=damaged, next=next_page(path or f"/v1/{name}", cursor, limit))
 
 
 def page_response(name: str, documents: Iterable[bytes], following: str | None) -> Response:

@@ -50,7 +50,7 @@ def create(
 
     def store(connection: Connection) -> None:
         api_keys.add(connection, record)
-        audit.append(connection, [_entry(record, "skypose keys create")])
+        audit.append(connection, [_entry(record.tenant, record.id, "skypose keys create")])
 
     _on_database(data, store)
     if as_json:
@@ -73,11 +73,13 @@ def list_keys(
     from service.store import api_keys
 
     found = _on_database(data, lambda connection: api_keys.page(connection, tenant, 0, _MOST))
+    for key_id in found.damaged:
+        typer.echo(f"key {key_id} is not as it was stored and is not taken: revoke it and make another", err=True)
     if as_json:
-        _print_json([_shown(record) for record in found])
+        _print_json([_shown(record) for record in found.records])
         return
     table = Table(*_SHOWN, box=None)
-    for record in found:
+    for record in found.records:
         table.add_row(*(str(value or "") for value in _shown(record).values()))
     Console(width=_WIDTH).print(table)
 
@@ -91,8 +93,8 @@ def revoke(key_id: Annotated[str, typer.Argument(help="The key's id.")], data: D
     from service.store import api_keys, audit
 
     def store(connection: Connection) -> None:
-        record = api_keys.revoke(connection, None, key_id, utc_text(datetime.now(UTC)))
-        audit.append(connection, [_entry(record, "skypose keys revoke")])
+        tenant = api_keys.revoke(connection, None, key_id, utc_text(datetime.now(UTC)))
+        audit.append(connection, [_entry(tenant, key_id, "skypose keys revoke")])
 
     _on_database(data, store)
     typer.echo(f"key {key_id} revoked", err=True)
@@ -120,7 +122,7 @@ def _on_database(data: Path | None, work: Callable[[Connection], R]) -> R:
         raise typer.Exit(1) from error
 
 
-def _entry(record: KeyRecord, action: str) -> AuditRecord:
+def _entry(tenant: str, key_id: str, action: str) -> AuditRecord:
     import getpass
     from datetime import UTC, datetime
 
@@ -128,7 +130,7 @@ def _entry(record: KeyRecord, action: str) -> AuditRecord:
     from service.store.base import AuditRecord
 
     now = utc_text(datetime.now(UTC))
-    return AuditRecord(now, record.tenant, f"user {getpass.getuser()}", "-", action, record.id, 200)
+    return AuditRecord(now, tenant, f"user {getpass.getuser()}", "-", action, key_id, 200)
 
 
 def _shown(record: KeyRecord) -> dict[str, Any]:

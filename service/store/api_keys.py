@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from sqlalchemy import Connection, func, insert, or_, select, update
 
 from service.errors import NotFoundError, QuotaExceededError
-from service.store.base import KeyRecord
+from service.store.base import KeyRecord, Page
+from service.store.pages import numbered_page
+from service.store.seal import checked, record_values, row_of, sealed
 from service.store.signals import Signal, alone, send
 from service.store.tables import api_keys
 
@@ -18,33 +20,36 @@ def add(connection: Connection, record: KeyRecord, quota: int = 0) -> None:
     query = select(func.count()).where(api_keys.c.tenant == record.tenant, api_keys.c.revoked_at.is_(None))
     if quota and connection.execute(query).scalar_one() >= quota:
         raise QuotaExceededError(f"{quota} keys are there", limit=quota, setting="SKYPOSE_QUOTA_KEYS")
-    values = {name: getattr(record, name) for name in api_keys.columns.keys() if name != "number"}  # noqa: SIM118
-    connection.execute(insert(api_keys).values(values))
+    connection.execute(insert(api_keys).values(sealed(api_keys, row_of(api_keys, record))))
 
 
 def find(connection: Connection, key_id: str) -> KeyRecord | None:
-    """The key of any tenant, or None: the one query that cannot know the tenant, as its answer says it."""
+    """The key of any tenant, or None: the one query that cannot know the tenant, as its answer says it.
+
+    Raises ``DamagedError``.
+    """
     row = connection.execute(select(api_keys).where(api_keys.c.id == key_id)).first()
-    return None if row is None else KeyRecord(**row._mapping)
+    return None if row is None else KeyRecord(**record_values(checked(api_keys, row)))
 
 
-def page(connection: Connection, tenant: str | None, after: int, limit: int) -> list[KeyRecord]:
+def page(connection: Connection, tenant: str | None, after: int, limit: int) -> Page[KeyRecord]:
     """A tenant's keys in order of creation, from number ``after`` on; of all tenants (the command line) with None."""
-    query = select(api_keys).where(api_keys.c.number > after).order_by(api_keys.c.number).limit(limit)
-    if tenant is not None:
-        query = query.where(api_keys.c.tenant == tenant)
-    return [KeyRecord(**row._mapping) for row in connection.execute(query)]
+    of = [] if tenant is None else [api_keys.c.tenant == tenant]
+    return numbered_page(connection, api_keys, "id", KeyRecord, of, after, limit)
 
 
-def revoke(connection: Connection, tenant: str | None, key_id: str, now: str) -> KeyRecord:
-    """End a tenant's key (None: of any), if it was not ended before. Raises ``NotFoundError``."""
-    record = find(connection, key_id)
-    if record is None or tenant not in (None, record.tenant):
+def revoke(connection: Connection, tenant: str | None, key_id: str, now: str) -> str:
+    """End a tenant's key (None: of any), if it was not ended before; a damaged one too. Returns its tenant.
+
+    Raises ``NotFoundError``.
+    """
+    found = connection.execute(select(api_keys.c.tenant).where(api_keys.c.id == key_id)).scalar()
+    if found is None or tenant not in (None, found):
         raise NotFoundError(f"no key {key_id}", field="key_id")
     query = update(api_keys).where(api_keys.c.id == key_id, api_keys.c.revoked_at.is_(None))
     connection.execute(query.values(revoked_at=now))
     send(connection, Signal("revoked", key_id))
-    return record
+    return str(found)
 
 
 def touch(connection: Connection, used: Mapping[str, str]) -> None:

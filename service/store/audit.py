@@ -6,20 +6,20 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection, delete, func, insert, select
 
-from service.store.base import AuditRecord
+from service.store.base import AuditRecord, Page
+from service.store.pages import numbered_page
+from service.store.seal import row_of, sealed
 from service.store.tables import audit
 
 
 def append(connection: Connection, records: Sequence[AuditRecord]) -> None:
     """Store entries, in order."""
-    names = [name for name in audit.columns.keys() if name != "number"]  # noqa: SIM118
-    connection.execute(insert(audit), [{name: getattr(record, name) for name in names} for record in records])
+    connection.execute(insert(audit), [sealed(audit, row_of(audit, record)) for record in records])
 
 
-def page(connection: Connection, tenant: str, after: int, limit: int) -> list[AuditRecord]:
+def page(connection: Connection, tenant: str, after: int, limit: int) -> Page[AuditRecord]:
     """A tenant's entries in order, from number ``after`` on."""
-    query = select(audit).where(audit.c.tenant == tenant, audit.c.number > after).order_by(audit.c.number)
-    return [AuditRecord(**row._mapping) for row in connection.execute(query.limit(limit))]
+    return numbered_page(connection, audit, "number", AuditRecord, [audit.c.tenant == tenant], after, limit)
 
 
 def forget(connection: Connection, before: str, most: int) -> int:

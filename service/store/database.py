@@ -25,7 +25,7 @@ log = structlog.get_logger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 
-NEWEST_REVISION = "0007"
+NEWEST_REVISION = "0008"
 
 
 class Database(ABC):

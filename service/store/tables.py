@@ -206,7 +206,7 @@ events = Table(
 api_keys = Table(
     "api_keys",
     metadata,
-    Column("number", Number, primary_key=True, autoincrement=True),
+    Column("number", Number, primary_key=True, autoincrement=True, info=CHANGES),
     Column("id", String, nullable=False, unique=True),
     Column("sha256", String, nullable=False),
     Column("tenant", String, nullable=False),
@@ -214,16 +214,17 @@ api_keys = Table(
     Column("name", String, nullable=False),
     Column("created_at", String, nullable=False),
     Column("expires_at", String),
-    Column("revoked_at", String),
-    Column("last_used_at", String),
+    Column("revoked_at", String, info=CHANGES),
+    Column("last_used_at", String, info=CHANGES),
     Column("rates", JSON(none_as_null=True)),
+    _checksum(),
     sqlite_autoincrement=True,
 )
 
 audit = Table(
     "audit",
     metadata,
-    Column("number", Number, primary_key=True, autoincrement=True),
+    Column("number", Number, primary_key=True, autoincrement=True, info=CHANGES),
     Column("at", String, nullable=False),
     Column("tenant", String, nullable=False),
     Column("actor", String, nullable=False),
@@ -233,6 +234,7 @@ audit = Table(
     Column("outcome", Integer, nullable=False),
     Column("count", Integer, nullable=False),
     Column("request_id", String, nullable=False),
+    _checksum(),
     Index("ix_audit_tenant_number", "tenant", "number"),
     Index("ix_audit_at", "at"),
     sqlite_autoincrement=True,

@@ -1,6 +1,7 @@
 """Keys, tickets, origins, headers, the audit log: through the API."""
 
 import json
+import sqlite3
 
 import jwt
 import pytest
@@ -56,6 +57,22 @@ async def test_wrong_secret_of_a_known_id(make_app, tmp_path):
         answers = [await api.http.get("/v1/me") for api in (wrong, unknown)]
         assert [answer.status_code for answer in answers] == [401, 401]
         assert answers[0].content == answers[1].content
+
+
+@pytest.mark.usefixtures("one_process")
+async def test_a_key_that_was_changed_in_the_database_is_taken_no_more(make_app, tmp_path):
+    """As any other that is no key, and told to who may read the list."""
+    async with guarded(make_app, tmp_path) as callers:
+        root, key = await callers.with_token(BOOTSTRAP), await callers.key("default", "read")
+        key_id = key.split("_")[1]
+        with sqlite3.connect(tmp_path / "data" / "skypose.sqlite3") as database:
+            database.execute("UPDATE api_keys SET role = 'admin' WHERE id = ?", [key_id])
+        database.close()
+        answer = await (await callers.with_token(key)).http.get("/v1/me")
+        assert answer.status_code == 401
+        listed = (await root.http.get("/v1/keys")).json()
+        assert listed["damaged"] == [key_id] and key_id not in [one["id"] for one in listed["keys"]]
+        assert (await root.http.delete(f"/v1/keys/{key_id}")).status_code == 204
 
 
 @pytest.mark.usefixtures("one_process")

@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from service.access.audit import MOST_WAITING, Audit, Entry
+from service.store.base import Page
 from service.store.sqlite import SqliteDatabase
 
 pytestmark = pytest.mark.anyio
@@ -34,11 +35,11 @@ async def test_entries_are_stored_in_order_and_read_by_page(database):
     for n in range(5):
         audit.note(entry(target=str(n)))
     await audit.store()
-    found, cursor = await audit.page("acme", 0, 3)
-    assert [record.target for record in found] == ["0", "1", "2"]
-    rest, end = await audit.page("acme", cursor, 3)
-    assert ([record.target for record in rest], end) == (["3", "4"], None)
-    assert await audit.page("other", 0, 3) == ([], None)
+    found = await audit.page("acme", 0, 3)
+    assert [record.target for record in found.records] == ["0", "1", "2"]
+    rest = await audit.page("acme", found.cursor, 3)
+    assert ([record.target for record in rest.records], rest.cursor) == (["3", "4"], None)
+    assert await audit.page("other", 0, 3) == Page((), (), None)
 
 
 async def test_refusals_are_counted_and_flooding_costs_no_memory(database):
@@ -50,10 +51,10 @@ async def test_refusals_are_counted_and_flooding_costs_no_memory(database):
         audit.note(entry(401, actor=str(n)))
     assert len(audit._refused) <= MOST_WAITING + 1
     await audit.store()
-    assert await audit.page("acme", 0, 10) == ([], None)  # within the minute nothing is written
+    assert await audit.page("acme", 0, 10) == Page((), (), None)  # within the minute nothing is written
     clock.now += timedelta(seconds=61)
     await audit.store()
-    found, _ = await audit.page("acme", 0, 100_000)
+    found = (await audit.page("acme", 0, 100_000)).records
     assert found[0].count == 1000
     assert sum(record.count for record in found) == 1000 + 2 * MOST_WAITING
 
@@ -64,8 +65,8 @@ async def test_old_entries_and_those_past_the_limit_are_dropped(database):
     for _ in range(15):
         audit.note(entry())
     await audit.store()
-    assert len((await audit.page("acme", 0, 100))[0]) == 10
+    assert len((await audit.page("acme", 0, 100)).records) == 10
     clock.now += timedelta(days=31)
     audit.note(entry(target="new"))
     await audit.store()
-    assert [record.target for record in (await audit.page("acme", 0, 100))[0]] == ["new"]
+    assert [record.target for record in (await audit.page("acme", 0, 100)).records] == ["new"]

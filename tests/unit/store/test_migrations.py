@@ -5,10 +5,10 @@ import sqlite3
 import pytest
 from alembic import command
 from alembic.config import Config
-from sqlalchemy import create_engine
+from sqlalchemy import create_engine, text
 
 from service.store import api_keys, models, sessions
-from service.store.base import KeyRecord, ModelRecord, SessionRecord
+from service.store.base import KeyRecord, ModelRecord, Page, SessionRecord
 from service.store.scope import model_key, public_id, session_key, tenant_of
 from service.store.sqlite import SqliteDatabase
 
@@ -48,7 +48,27 @@ async def test_rows_from_before_there_were_tenants(tmp_path):
         assert [found.id for found in (await database.read(sessions.page, "acme", 0, 10)).records] == ["acme/s"]
         assert (public_id(session.id), tenant_of(session.id), tenant_of(record.id)) == ("s", "acme", "default")
         await database.write(api_keys.add, KeyRecord("k", "h", "acme", "read", "n", "t"))
-        assert await database.read(api_keys.page, "default", 0, 10) == []
+        assert await database.read(api_keys.page, "default", 0, 10) == Page((), (), None)
+    finally:
+        await database.close()
+
+
+async def test_keys_of_the_release_before_are_taken_and_new_ones_are_sealed(tmp_path):
+    database_of(tmp_path, "0007")
+    with sqlite3.connect(tmp_path / "skypose.sqlite3") as connection:
+        names = "id, sha256, tenant, role, name, created_at"
+        connection.execute(f"INSERT INTO api_keys ({names}) VALUES ('old', 'h', 'acme', 'admin', 'n', 't')")
+    connection.close()
+    database = SqliteDatabase(tmp_path, 1)
+    await database.open()
+    try:
+        await database.write(api_keys.add, KeyRecord("new", "h", "acme", "read", "n", "t"))
+        for key_id in ("old", "new"):
+            await database.write(
+                lambda c, k=key_id: c.execute(text(f"UPDATE api_keys SET name = '!' WHERE id = '{k}'"))
+            )
+        found = await database.read(api_keys.page, "acme", 0, 10)
+        assert ([one.id for one in found.records], found.damaged) == (["old"], ("new",))
     finally:
         await database.close()
 

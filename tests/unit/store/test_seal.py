@@ -5,8 +5,16 @@ from sqlalchemy import text
 from test_database import KEEP, begin, frame
 
 from service.errors import DamagedError
-from service.store import checkpoints, frames, models, sessions
-from service.store.base import BackgroundRecord, FrameRecord, Page, SessionRecord, StoredContender
+from service.store import api_keys, audit, checkpoints, frames, models, sessions
+from service.store.base import (
+    AuditRecord,
+    BackgroundRecord,
+    FrameRecord,
+    KeyRecord,
+    Page,
+    SessionRecord,
+    StoredContender,
+)
 from service.store.sqlite import SqliteDatabase
 
 pytestmark = pytest.mark.anyio
@@ -21,6 +29,8 @@ async def database(tmp_path, anyio_backend):
     for index in range(3):
         record = FrameRecord(**{**vars(frame(index, key=f"k{index}")), "belief": b"belief%d" % index})
         await database.write(frames.append, record, KEEP)
+    await database.write(api_keys.add, KeyRecord("k", "h", "default", "read", "n", "t", "2027-01-01T00:00:00Z"))
+    await database.write(audit.append, [AuditRecord("t", "default", "k", "a", "GET /", str(n), 200) for n in range(3)])
     yield database
     await database.close()
 
@@ -44,6 +54,11 @@ READS = {
     "events.idx = (idx + 1) % 3": (frames.event_page, "s", 0, 10),
     "sessions.next_index = 2": (sessions.claim, "s"),
     "sessions.time_s = time_s + 1": (sessions.claim, "s"),
+    "api_keys.role = 'admin'": (api_keys.find, "k"),
+    "api_keys.tenant = 'other'": (api_keys.find, "k"),
+    "api_keys.sha256 = 'g'": (api_keys.find, "k"),
+    "api_keys.expires_at = NULL": (api_keys.find, "k"),
+    "api_keys.rates = '{'": (api_keys.find, "k"),
 }
 
 
@@ -92,3 +107,24 @@ async def test_a_damaged_row_does_not_hide_the_others_of_its_page(database, chan
     first = await database.read(sessions.page, "default", 0, 1)
     assert (first.records, first.damaged) == ((), ("s",))
     assert (await database.read(sessions.page, "default", first.cursor, 1)).records == found.records
+
+
+async def test_a_damaged_key_can_be_ended_and_hides_no_other(database):
+    await database.write(api_keys.add, KeyRecord("other", "h", "default", "read", "n", "t", rates={"calls": 1.5}))
+    await database.write(
+        lambda c: c.execute(text("UPDATE api_keys SET rates = '{', role = 'admin' WHERE id = 'k'")) and None
+    )
+    found = await database.read(api_keys.page, "default", 0, 10)
+    assert ([one.id for one in found.records], found.damaged, found.cursor) == (["other"], ("k",), None)
+    await database.write(api_keys.revoke, "default", "k", "now")
+    await database.write(api_keys.touch, {"other": "now"})
+    await database.write(api_keys.revoke, "default", "other", "now")
+    assert (await database.read(api_keys.find, "other")).revoked_at == "now"  # what changes is under no checksum
+    ended = await database.read(lambda c: c.execute(text("SELECT revoked_at FROM api_keys WHERE id = 'k'")).scalar())
+    assert ended == "now"
+
+
+async def test_an_audit_entry_that_was_changed_is_told_beside_the_others(database):
+    await database.write(lambda c: c.execute(text("UPDATE audit SET outcome = 403 WHERE target = '1'")) and None)
+    found = await database.read(audit.page, "default", 0, 10)
+    assert ([one.target for one in found.records], len(found.damaged)) == (["0", "2"], 1)
