@@ -139,7 +139,7 @@ def hypotheses(
     """
     start = existence.expected(None, 0.0) if ahead is None else ahead.existence
     fit = best.one.fit
-    usual = log_prior(nuisance) + existence.log_of_change(None if before is None else before.log_light, light)
+    usual = existence.log_of_change(None if before is None else before.log_light, light)
     absent, afresh, unlike = evidences
     fits, other_paint = (log + best.occam + usual for log in (fit.log_evidence, afresh))
     logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, unlike + best.occam, other_paint)])

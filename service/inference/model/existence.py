@@ -41,8 +41,12 @@ def log_light(hill: Hill, fit: Fit) -> float:
 
 
 def log_of_change(before: float | None, now: float) -> float:
-    """Log density, but for its height, of a body's light after what it was: it seldom goes out."""
-    return 0.0 if before is None else -0.5 * ((now - before) / prior.FADES) ** 2
+    """Log density of a body's light after what it was, over that of the gain's own prior, which is as good as flat: it
+    seldom goes out.
+    """
+    if before is None:
+        return 0.0
+    return float(np.log(prior.GAIN_SIGMA / prior.FADES)) - 0.5 * ((now - before) / prior.FADES) ** 2
 
 
 def log_chi2_densities(chi2: float, level: Array) -> Array:

@@ -1,0 +1,88 @@
+"""Whether a body is there at all: probabilities held to frames that are drawn from each hypothesis."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+from lit_body import QUALITY, SUN, shares
+from test_light_filter import SIGMA, SIZE, Drawn, body, given, mixture, step, truth
+
+from service.inference.model import existence, prior
+from service.inference.model.drawing import View
+from service.inference.model.spread import PointSpread, spread
+from service.inference.pose import retract
+from service.inference.state import FilterState, Poses
+
+FRAMES = 120
+ODDS = np.array([0.5, 0.5 - 1e-9, 1e-9])  # absent, fits, no_fit
+WIDE = np.array([0.1, 0.1, 0.1, 1.6, 1.6, 0.05])  # what is known of the pose ahead of the frame
+
+
+def picture(at: Poses, gain: float, albedo=(1.0, 1.4, 0.7)) -> np.ndarray:
+    drawing = body().fine
+    drawn = drawing.combined(at, SUN, shares(drawing, gain, albedo), View((0.0, 0.0), 1.0, SIZE), QUALITY)
+    return spread(drawn, PointSpread(1.3), 0.0)[0]
+
+
+@functools.cache
+def usual_light(gain: float) -> float:
+    return float(picture(truth(0), gain).sum())
+
+
+def told(gain: float, k: int) -> tuple[bool, float]:
+    """Whether the body was drawn, as its priors have it, and the probability that it is there."""
+    rng = np.random.default_rng([11, k])
+    there, image = rng.uniform() < 0.5, np.zeros((SIZE, SIZE))
+    if there:
+        at = retract(truth(0), WIDE[None] * rng.normal(size=(1, 6)))
+        image = picture(at, gain, np.exp(prior.ALBEDO_SIGMA * rng.normal(size=3)))
+        image *= usual_light(gain) * np.exp(prior.FADES * rng.normal()) / image.sum()
+    known = replace(
+        mixture(existence=ODDS),
+        covariance=np.diag(np.concatenate([prior.MEMORY_KEPT * WIDE**2, np.full(6, 1e-4)]))[None],
+        log_light=float(np.log(usual_light(gain))),
+        point_spread=np.array([1.3, 0.0]),
+        span_px=52.0,
+    )
+    state = FilterState(truth(0), np.zeros(1), np.zeros((1, 6)), 0, 0.0, "tracking", {}, known)
+    light = Drawn(image + rng.normal(0, SIGMA, image.shape))
+    after, _ = step(rng, state, replace(given(light, 1), time_s=0.0))
+    assert after.mixture is not None
+    return there, float(after.mixture.existence[existence.FITS])
+
+
+def test_what_is_told_of_a_faint_body_is_so_often_true():
+    """Matched to the drawing it stands five and eight sigma above the noise; half of the frames are empty."""
+    rows = np.array([told(gain, k) for gain in (2.0, 3.0) for k in range(FRAMES)])
+    there, fits = rows[:, 0] > 0, rows[:, 1]
+    sure, doubted, unsure = fits >= 0.9, fits < 0.1, (fits >= 0.1) & (fits < 0.9)
+    assert there[sure].mean() >= 0.95 and sure.sum() > 60
+    assert there[doubted].mean() <= 0.15 and doubted.sum() > 100
+    assert unsure.sum() > 5
+    assert abs(fits.mean() - there.mean()) < 0.1
+
+
+def test_light_that_is_as_it_was_speaks_for_the_body_and_light_that_is_gone_against_it():
+    assert existence.log_of_change(None, 5.0) == 0.0
+    changes = [existence.log_of_change(5.0, now) for now in (5.0, 5.5, 6.0, 8.0)]
+    assert changes == sorted(changes, reverse=True)
+    at = np.linspace(-5, 15, 4001)
+    density = np.exp([existence.log_of_change(5.0, float(now)) for now in at]) / prior.GAIN_SIGMA
+    assert np.isclose(np.trapezoid(density, at), np.sqrt(2 * np.pi))  # the heights of two Gaussians, one over the other
+
+
+def test_searches_that_find_nothing_better_leave_less_and_less_to_doubt():
+    assert [round(existence.missed(n), 2) for n in (1, 2, 3, 4)] == [0.2, 0.09, 0.05, 0.03]
+    assert existence.missed(3, misses=4) > existence.missed(3)
+
+
+def test_the_level_of_what_is_left_over_is_learnt_from_frames_that_fit():
+    level = existence.usual_chi2()
+    for _ in range(12):
+        level = existence.usual_chi2(level, 0.3, 0.95)
+    assert np.isclose(level[0], np.log(0.3), atol=0.1) and level[1] < 0.1
+    assert existence.usual_chi2(level, 30.0, 0.2)[0] == level[0]  # a frame that does not fit teaches nothing
+    calm, cloud = (existence.log_chi2_densities(chi2, level) for chi2 in (0.3, 12.0))
+    assert calm[0] > calm[1] and cloud[1] > cloud[0]
