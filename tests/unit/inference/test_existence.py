@@ -61,7 +61,7 @@ def test_what_is_told_of_a_faint_body_is_so_often_true():
     assert there[sure].mean() >= 0.95 and sure.sum() > 60
     assert there[doubted].mean() <= 0.15 and doubted.sum() > 100
     assert unsure.sum() > 5
-    assert abs(fits.mean() - there.mean()) < 0.1
+    assert -0.15 < fits.mean() - there.mean() < 0.05  # told with some modesty: a spread is that of a Student t
 
 
 def test_light_that_is_as_it_was_speaks_for_the_body_and_light_that_is_gone_against_it():
