@@ -116,6 +116,12 @@ def test_a_wider_sight_proposes_too_and_evidence_says_which():
     assert off_deg(found.basins[0].pose, at) < 2.0
 
 
+def test_what_lies_around_the_best_can_be_left_to_a_later_search(monkeypatch):
+    monkeypatch.setattr(searching, "shaken", lambda *given: pytest.fail("looked at"))
+    at = truth(4, False)
+    assert off_deg(search(body(False), sight_of(at), bank(False), TOLD, shake=False).basins[0].pose, at) < 2.0
+
+
 def test_a_sight_that_is_hardly_wider_is_not_looked_at():
     def never(span: float, wanted: float) -> Patch:
         raise AssertionError
