@@ -14,12 +14,12 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.device import DeviceReport, first_device, open_device
-from gpu.evidence_terms import Terms, inputs_of
+from gpu.evidence_terms import LANES, Terms, inputs_of
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
 
 Numbers = NDArray[np.float32]
 FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
-LANES, EIGHT, NEAR, ODD = 16, 8, 704, 5  # as the kernel has them
+EIGHT, NEAR, ODD = 8, 704, 5  # as the kernel has them
 HERMITE, BUMPS = 12, 9
 
 
@@ -120,7 +120,7 @@ class LightEvidence:
             given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
             inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
             inputs.insert(3, np.int32(host.every))
-            sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, length)
+            sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, length, host.n_stars)
             result, coefficients = (cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in (out, drawn))
             more = None
             if details is not None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Numbers = NDArray[np.float32]
 _OWN = ("mean", "precision")
+LANES = 16  # as the kernel has them
 _REACH = 3.5  # sigmas of a Gaussian that are summed
 
 
@@ -25,6 +26,11 @@ class Terms(Protocol):
     @property
     def full(self) -> NDArray[np.bool_]:
         """(S, S) pixels of which only a least value is known."""
+        ...
+
+    @property
+    def stars(self) -> NDArray[np.uint8]:
+        """(S, S) numbers of pieces of light that may be a star's, 1 to 127; 0 elsewhere."""
         ...
 
     @property
@@ -98,6 +104,11 @@ class Terms(Protocol):
         ...
 
     @property
+    def star(self) -> float:
+        """Nats against a star at a place."""
+        ...
+
+    @property
     def speckle(self) -> bool:
         """Whether the point spread's deviations are unknowns."""
         ...
@@ -112,8 +123,10 @@ class Terms(Protocol):
 class HostInputs:
     """Of N poses, in the order in which the kernel takes them."""
 
-    arrays: tuple[NDArray[np.generic], ...]  # offset, mean, precision, data, full, slopes, bumps, weights, radii, taps
+    # offset, mean, precision, data, marks, slopes, bumps, weights, radii, taps, boxes
+    arrays: tuple[NDArray[np.generic], ...]
     every: int  # priors from one pose to the next; 0: all have the same
+    n_stars: int
     scalars: tuple[float, ...]
     spreads: NDArray[np.int32]  # (N, 4)
     own: Numbers  # (N, 2)
@@ -128,11 +141,24 @@ def inputs_of(several: Sequence[Terms], numbers: Sequence[int]) -> HostInputs:
     each = several if len(several) == len(numbers) else [terms] * len(numbers)
     spreads, weights, taps = spreads_of([one.gaussians for one in each] or [terms.gaussians], numbers)
     radii = np.array([len(t) // 2 for t in taps], np.int32)
-    arrays = (terms.offset, mean, precision, terms.data, terms.full.astype(np.uint8), terms.slopes, terms.bumps)
-    scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.edge**2, terms.gain)
+    marks = terms.full.astype(np.uint8) | terms.stars << 1
+    arrays = (terms.offset, mean, precision, terms.data, marks, terms.slopes, terms.bumps)
+    boxes = boxes_of(terms.stars)
+    scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.edge**2, terms.gain, terms.star)
     own = np.array([(one.wrong, one.width) for one in each], np.float32)
-    whole = (*arrays, weights, radii, np.concatenate(taps))
-    return HostInputs(whole, mean.shape[1] if mean.ndim == 2 else 0, scalars, spreads, own, int(radii.max()))
+    whole = (*arrays, weights, radii, np.concatenate(taps), boxes if len(boxes) else np.zeros((1, 5), np.int32))
+    every = mean.shape[1] if mean.ndim == 2 else 0
+    return HostInputs(whole, every, len(boxes), scalars, spreads, own, int(radii.max()))
+
+
+def boxes_of(stars: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """(K, 5) of each number its own, first and last row, first and last column of whole lanes (ends exclusive)."""
+    out = []
+    for number in np.unique(stars[stars > 0]):
+        rows, columns = np.nonzero(stars == number)
+        left, right = columns.min() // LANES * LANES, -(-(columns.max() + 1) // LANES) * LANES
+        out.append((number, rows.min(), rows.max() + 1, left, right))
+    return np.array(out, np.int32).reshape(-1, 5)
 
 
 def spreads_of(

@@ -20,8 +20,8 @@
 #define ODD 5  // lanes between pictures: at whole pages apart they would push each other out of the nearest cache
 
 typedef struct {
-    int side, pixels, stride, planes, positives, unknowns, speckle, shifts, rounds, components, first, length;
-    float sigma2, photon, hidden, area, wrong, edge2, width, gain;
+    int side, pixels, stride, planes, positives, unknowns, speckle, shifts, rounds, components, first, length, stars;
+    float sigma2, photon, hidden, area, wrong, edge2, width, gain, star;
 } Scene;
 
 typedef struct {
@@ -102,9 +102,48 @@ static void draw_speckle(const Scene s, const Room r, const Box body)
         }
 }
 
-// Scales, light, model, residual, weight. `lit` positives are in use.
-static void draw_model(const Scene s, const Room r, const int lit, const int count, const Box body,
-    __global const float *offset, __global const float *data, __global const uchar *full, __global const float *bumps)
+// Log of what pixels lose by their residuals.
+static floats loss_of(const floats residual, const floats variance)
+{
+    return 0.5f * (NU + 1.0f) * log(1.0f + residual * residual / (NU * variance));
+}
+
+// Which of sixteen pixels are of a piece, and brighter than the model.
+static ints brighter_in(__global const uchar *marks, const int piece, const floats residual)
+{
+    return (convert_int16(vload16(0, marks)) >> 1 == piece) & (residual > 0.0f);
+}
+
+// Each piece of light that is not connected with the object's may be a star's, which adds to what the body leaves:
+// where it does, a model of less light is no contradiction, and tells nothing. Nats by which that betters them all.
+static float weigh_stars(const Scene s, const Room r, __global const uchar *marks, __global const int *boxes)
+{
+    __global const float *residuals = picture_in(s, r, RESIDUAL);
+    float gained = 0.0f;
+    for (int piece = 0; piece < s.stars; ++piece, boxes += 5) {
+        floats lost = 0.0f;
+        for (int row = boxes[1]; row < boxes[2]; ++row)
+            for (int k = row * s.side + boxes[3]; k < row * s.side + boxes[4]; k += LANES) {
+                const floats residual = floats_at(residuals + k);
+                const ints brighter = brighter_in(marks + k, boxes[0], residual);
+                lost += brighter ? loss_of(residual, floats_at(r.variance + k)) : 0.0f;
+            }
+        const float better = sum_of(lost) / s.area - s.star;
+        const float root = sqrt(1.0f / (1.0f + exp(better)));  // of the share that it is the body's
+        gained += better > 0.0f ? better + log1p(exp(-better)) : log1p(exp(better));
+        for (int row = boxes[1]; row < boxes[2]; ++row)
+            for (int k = row * s.side + boxes[3]; k < row * s.side + boxes[4]; k += LANES) {
+                const ints brighter = brighter_in(marks + k, boxes[0], floats_at(residuals + k));
+                put(r.root + k, floats_at(r.root + k) * (brighter ? root : 1.0f));
+            }
+    }
+    return gained;
+}
+
+// Scales, light, model, residual, weight; what `weigh_stars` says. `lit` positives are in use.
+static float draw_model(const Scene s, const Room r, const int lit, const int count, const Box body,
+    __global const float *offset, __global const float *data, __global const uchar *marks, __global const float *bumps,
+    __global const int *stars)
 {
     const float gain = (float)exp(r.value[lit]);
     clear(r.light, body, s.side);
@@ -149,7 +188,7 @@ static void draw_model(const Scene s, const Room r, const int lit, const int cou
                         floats_at(picture_in(s, r, SPECKLE + m - lit - 6) + k), model);
             }
             floats residual = floats_at(data + k) - model;
-            const ints censored = convert_int16(vload16(0, full + k)) != 0;
+            const ints censored = (convert_int16(vload16(0, marks + k)) & 1) != 0;
             residual = censored & (residual < 0.0f) ? 0.0f : residual;
             floats weight = ((NU + 1.0f) / s.area) / (NU * variance + residual * residual);
             // At least so much light: more is no contradiction, and tells nothing.
@@ -159,6 +198,7 @@ static void draw_model(const Scene s, const Room r, const int lit, const int cou
             put(r.variance + k, variance);
             put(r.root + k, sqrt(weight));
         }
+    return weigh_stars(s, r, marks, stars);
 }
 
 // The upper half of J' W J + P, and J' W r - P (value - mean) into `move`.
@@ -327,7 +367,7 @@ static double log_density(const Scene s, const Room r, float *chi2)
         for (int k = row * s.side; k < (row + 1) * s.side; k += LANES) {
             const floats residual = floats_at(residuals + k), variance = floats_at(r.variance + k);
             const floats light = floats_at(r.light + k), part = residual * residual / variance;
-            sum += 0.5f * log(variance) + 0.5f * (NU + 1.0f) * log(1.0f + part / NU);
+            sum += 0.5f * log(variance) + loss_of(residual, variance);
             const ints on = light * light > s.sigma2 / s.area;
             misfit += on ? part : 0.0f;
             body += on ? 1.0f : 0.0f;
@@ -389,22 +429,26 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
     for (int m = 0; m < lit; ++m) to[m] = (float)r.plane[m];
 }
 
-// given_mean, given_precision (unknowns), or `every` of them a pose. spreads (N, 4): of each pose its first component,
-// how many they are, its first tap, and which of the drawn ones it is. own (N, 2): C tau^2, width of the point spread.
+// given_mean, given_precision (unknowns), or `every` of them a pose. marks: 1 where a pixel is known from below alone,
+// added to twice the number of a piece that may be a star's; stars (n_stars, 5): of each its number, rows and columns.
+// spreads (N, 4): of each pose its first component, how many they are, its first tap, and which of the drawn ones it
+// is. own (N, 2): C tau^2, width of the point spread.
 // out (N, 4): log evidence, chi2 of the body, log det, squared deviation; values (N, planes) what `combined` takes.
 __kernel void evidence(
     __global const float *planes, const int poses, __global const float *offset, __global const float *given_mean,
-    __global const float *given_precision, const int every, __global const float *data, __global const uchar *full,
+    __global const float *given_precision, const int every, __global const float *data, __global const uchar *marks,
     __global const float *slopes, __global const float *bumps, __global const float *weights,
-    __global const int *radii, __global const float *taps, const int groups, const int side, const int n_planes,
-    const int speckle, const int shifts, const int rounds, const int length, const float sigma2, const float photon,
-    const float hidden, const float area, const float edge2, const float gain, __global const int *spreads,
-    __global const float *own, __global float *out, __global float *coefficients, __global float *details,
-    __global float *memory, const ulong each, volatile __global int *next)
+    __global const int *radii, __global const float *taps, __global const int *stars, const int groups, const int side,
+    const int n_planes, const int speckle, const int shifts, const int rounds, const int length, const int n_stars,
+    const float sigma2, const float photon, const float hidden, const float area, const float edge2, const float gain,
+    const float star, __global const int *spreads, __global const float *own, __global float *out,
+    __global float *coefficients, __global float *details, __global float *memory, const ulong each,
+    volatile __global int *next)
 {
     const int more = (speckle ? HERMITE : 0) + (shifts ? 2 * BUMPS : 0), pixels = side * side;
     Scene s = {side, pixels, pixels + ODD * LANES, n_planes, n_planes - 1, n_planes - 1 + 6 + more, speckle,
-        shifts, rounds, 0, EVEN + 1 + more, length, sigma2, photon, hidden, area, 0.0f, edge2, 0.0f, gain};
+        shifts, rounds, 0, EVEN + 1 + more, length, n_stars, sigma2, photon, hidden, area, 0.0f, edge2, 0.0f, gain,
+        star};
     const Room r = room_in(memory + get_global_id(0) * each, s);
     prepare(s, r, slopes);
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
@@ -417,13 +461,13 @@ __kernel void evidence(
             given_mean + (size_t)pose * every, given_precision + (size_t)pose * every, data, weights + spread[0],
             radii + spread[0], taps + spread[2], groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
-        draw_model(s, r, lit, count, body, offset, data, full, bumps);
+        float gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         bool sound = true, still = false;
         for (int round = 0; round < rounds && sound && !still; ++round) {
             draw_normal(s, r, lit, count, body);
             sound = factorise(r.normal, count, row);
             if (sound) still = step(r, lit, count, row) < STILL;
-            draw_model(s, r, lit, count, body, offset, data, full, bumps);
+            gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         }
         draw_normal(s, r, lit, count, body);
         if (details) tell_normal(s, r, count, row, details + pose * told_size(s));
@@ -434,7 +478,7 @@ __kernel void evidence(
             squares += r.precision[i] * (r.value[i] - r.mean[i]) * (r.value[i] - r.mean[i]);
         }
         float chi2;
-        const double value = log_density(s, r, &chi2) / area - 0.5 * squares - 0.5 * logdet;
+        const double value = log_density(s, r, &chi2) / area + gained - 0.5 * squares - 0.5 * logdet;
         out[4 * pose] = sound ? (float)value : -INFINITY;
         out[4 * pose + 1] = chi2;
         out[4 * pose + 2] = (float)logdet;

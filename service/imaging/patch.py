@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -28,6 +28,7 @@ _NEAR_STAR = 0.06  # share of the diagonal within which even something so small 
 _LEAST_BRIGHT_PX = 64
 _MARGIN = 0.3  # sky on each side of the light, as a share of its longer side
 _LEAST_MARGIN_PX = 6
+MOST_STARS = 31  # that are told apart
 _COARSER = 1.2  # numerical: a patch coarser by less saves nothing
 
 
@@ -41,6 +42,7 @@ class Light:
     hidden: float  # most light of the sky that a body can hide, counts
     censored: NDArray[np.bool_]  # at the sensor's upper end: at least so much
     origin: tuple[int, int] = (0, 0)  # its first pixel in the frame, where it is part of one
+    stars: NDArray[np.uint8] | None = None  # numbers of its pieces that may be stars, 0 elsewhere
 
     def covers(self, square: Square) -> bool:
         """Whether a square lies within it."""
@@ -84,6 +86,26 @@ class Pieces:
 
     boxes: NDArray[np.float64]  # (N, 4) left, top, right, bottom, in the light's own pixels
     total: NDArray[np.float64]  # (N,) light, in units of its noise
+    labels: NDArray[np.int32]  # (H, W) which of all connected light a pixel is of
+    numbers: NDArray[np.intp]  # (N,) what the N are called there
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """(N,) longer sides, px."""
+        return np.asarray((self.boxes[:, 2:] - self.boxes[:, :2]).max(axis=1, initial=0))
+
+    def stars_of(self, light: Light, box: Box | None) -> Light:
+        """The light with what may be stars told apart: all that is as small and lies outside of the object's box."""
+        x, y = light.origin
+        within = (np.inf,) * 4 if box is None else (box.left - x, box.top - y, box.right - x, box.bottom - y)
+        outside = np.any(self.boxes[:, :2] < within[:2], axis=1) | np.any(self.boxes[:, 2:] > within[2:], axis=1)
+        order = np.argsort(-self.total)
+        order = order[outside[order] & (self.extent[order] <= _STAR_PX)][:MOST_STARS]
+        if not len(order):
+            return light
+        named = np.zeros(int(self.labels.max()) + 1, np.uint8)
+        named[self.numbers[order]] = 1 + np.arange(len(order))
+        return replace(light, stars=named[self.labels])
 
 
 @dataclass(frozen=True)
@@ -95,6 +117,7 @@ class Patch:
     photon: float
     hidden: float
     censored: NDArray[np.bool_]  # (S, S)
+    stars: NDArray[np.uint8]  # (S, S) numbers of pieces of light that may be stars, 0 elsewhere
     origin: tuple[float, float]  # of its first corner, frame px
     binning: float  # frame px a patch px
 
@@ -186,7 +209,10 @@ def pieces_of(light: Light) -> Pieces:
     total = np.bincount(labels.ravel(), weights=smooth.ravel(), minlength=count)[1:]
     boxes = np.column_stack([stats[1:, 0], stats[1:, 1], stats[1:, 0] + stats[1:, 2], stats[1:, 1] + stats[1:, 3]])
     large = stats[1:, cv2.CC_STAT_AREA] >= _LEAST_AREA_PX
-    return Pieces(boxes[large].astype(np.float64), np.asarray(total[large], np.float64))
+    which = 1 + np.flatnonzero(large)
+    return Pieces(
+        boxes[large].astype(np.float64), np.asarray(total[large], np.float64), np.asarray(labels, np.int32), which
+    )
 
 
 def find_light(light: Light, pieces: Pieces | None = None, *, specks: bool = False) -> Box | None:
@@ -200,20 +226,28 @@ def find_light(light: Light, pieces: Pieces | None = None, *, specks: bool = Fal
     if not len(boxes):
         return None
     whole = boxes[np.argmax(all_pieces.total)]
-    extent = (boxes[:, 2:] - boxes[:, :2]).max(axis=1)
-    share = np.where((extent <= _STAR_PX) & (not specks), _NEAR_STAR, _NEAR)  # a star is no boom
-    rest = np.ones(len(boxes), dtype=bool)
-    while True:
-        diagonal = float(np.hypot(whole[2] - whole[0], whole[3] - whole[1]))
-        gap = np.maximum(np.maximum(boxes[:, :2] - whole[2:], whole[:2] - boxes[:, 2:]), 0.0)
-        near = rest & (np.linalg.norm(gap, axis=1) <= share * diagonal)
-        if not near.any():
-            break
-        rest &= ~near
-        found = boxes[near]
-        whole = np.concatenate([np.minimum(whole[:2], found[:, :2].min(0)), np.maximum(whole[2:], found[:, 2:].max(0))])
+    small = (all_pieces.extent <= _STAR_PX) & (not specks)
+    large = boxes[~small]
+    near = np.zeros(len(large), dtype=bool)
+    while (more := _near(large, whole, _NEAR) & ~near).any():
+        near |= more
+        whole = _around(whole, large[more])
+    whole = _around(whole, boxes[small & _near(boxes, whole, _NEAR_STAR)])  # from a star no further: it is no boom
     x, y = light.origin
     return Box(*(float(v) for v in whole + np.array([x, y, x, y])))
+
+
+def _near(boxes: NDArray[np.float64], whole: NDArray[np.float64], share: float) -> NDArray[np.bool_]:
+    """Which boxes are within a share of the diagonal of one."""
+    diagonal = float(np.hypot(whole[2] - whole[0], whole[3] - whole[1]))
+    gap = np.maximum(np.maximum(boxes[:, :2] - whole[2:], whole[:2] - boxes[:, 2:]), 0.0)
+    return np.asarray(np.linalg.norm(gap, axis=1) <= share * diagonal)
+
+
+def _around(whole: NDArray[np.float64], boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The box of all of them."""
+    every = np.concatenate([whole[None], boxes])
+    return np.concatenate([every[:, :2].min(0), every[:, 2:].max(0)])
 
 
 def square_around(centre: tuple[float, float], span_px: float, wanted: float) -> Square:
@@ -237,12 +271,14 @@ def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float
     index = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
     image = np.where(inside, light.image[index], 0.0).astype(np.float32)
     censored = (light.censored[index] | ~inside).astype(np.float32)
+    stars = np.zeros((1, 1), np.uint8) if light.stars is None else np.where(inside, light.stars[index], 0)
     return Patch(
         image=np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32),
         sigma=light.sigma / binning,
         photon=light.photon / binning**2,
         hidden=light.hidden,
         censored=cv2.resize(censored, size, interpolation=cv2.INTER_AREA) > 0,
+        stars=np.asarray(cv2.resize(np.asarray(stars, np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8),
         origin=(float(square.first[0]), float(square.first[1])),
         binning=binning,
     )

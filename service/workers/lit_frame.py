@@ -86,9 +86,17 @@ class LightOfFrame:
             pieces = pieces_of(light)
             box = find_light(light, pieces)
             if box is not None and self._ends_within(box):
-                return light, pieces, box
+                return pieces.stars_of(light, box), pieces, box
         pieces = pieces_of(self._whole)
-        return self._whole, pieces, find_light(self._whole, pieces)
+        box = find_light(self._whole, pieces)
+        return pieces.stars_of(self._whole, box), pieces, box
+
+    @cached_property
+    def _all(self) -> Light:
+        """Of the whole frame, wherever the object was found."""
+        if self._light.image.shape == self._whole.image.shape:
+            return self._light
+        return pieces_of(self._whole).stars_of(self._whole, self._box)
 
     @property
     def _light(self) -> Light:
@@ -125,7 +133,8 @@ class LightOfFrame:
 
     def _seen(self, centre: tuple[float, float], span_px: float, psf_px: float) -> Sight:
         def patch(span: float, wanted: float) -> Patch:
-            light = self._light if self._light.covers(square_around(centre, span, wanted)) else self._whole
+            near = self._light.covers(square_around(centre, span, wanted))
+            light = self._light if near else self._all
             return cut(light, centre, span, wanted)
 
         return Sight(patch, span_px, psf_px, self._lens)

@@ -55,13 +55,17 @@ def _places(rng: np.random.Generator, cx: float, cy: float, radius: float, count
 
 
 def scene_of(
-    rng: np.random.Generator, planes: np.ndarray, groups: int, point_spread: PointSpread, shifts: bool
+    rng: np.random.Generator, planes: np.ndarray, groups: int, point_spread: PointSpread, shifts: bool, stars: int = 2
 ) -> Scene:
-    """A noisy frame of the first pose's body, some of it brighter than pixels can tell."""
+    """A noisy frame of the first pose's body and of stars, some of it brighter than pixels can tell."""
     albedo = np.exp(rng.normal(0, 0.5, len(planes)))
     albedo[groups:] *= 0.1
     image = spread(np.tensordot(900.0 * albedo, planes, 1).astype(np.float32)[None], point_spread, 0.0)[0]
     image = image + rng.normal(0, 1, image.shape) * np.sqrt(25.0 + 0.5 * image)
+    starry = np.zeros(image.shape, np.uint8)
+    for number, at, bright in ((1, (2, 3), 400.0), (2, (len(image) - 5, 6), 30.0))[:stars]:
+        image[at[0] : at[0] + 3, at[1] : at[1] + 3] += bright
+        starry[at[0] : at[0] + 3, at[1] : at[1] + 3] = number
     most = float(np.quantile(image, 0.995))
     return Scene(
         image=np.minimum(image, most).astype(np.float32),
@@ -71,6 +75,7 @@ def scene_of(
         censored=image >= most,
         point_spread=point_spread,
         shifts=shifts,
+        starry=starry,
     )
 
 
@@ -89,7 +94,7 @@ def test_evidence_is_the_twins(light, name, rounds):
     rng = np.random.default_rng(side + groups)
     planes = np.stack([wedges(rng, side, groups, glossy) for _ in range(4)])
     terms = terms_of(scene_of(rng, planes[0], groups, point_spread, shifts), groups, planes.shape[1])
-    assert terms.full.any()
+    assert terms.full.any() and set(np.unique(terms.stars)) == {0, 1, 2}
     found = light.evidence(planes, groups, terms, rounds)
     for k, one in enumerate(planes):
         agrees(found, k, fit_light(one, groups, terms, rounds))
@@ -161,7 +166,7 @@ def edge_cases() -> dict[str, np.ndarray]:
 def test_bodies_that_are_hardly_there(light, name, point_spread):
     planes = edge_cases()[name]
     rng = np.random.default_rng(6)
-    terms = terms_of(scene_of(rng, wedges(rng, 48, 3, 3), 3, point_spread, True), 3, 7)
+    terms = terms_of(scene_of(rng, wedges(rng, 48, 3, 3), 3, point_spread, True, stars=0), 3, 7)
     found = light.evidence(planes[None], 3, terms, ROUNDS)
     assert np.isfinite(found.coefficients).all()
     agrees(found, 0, fit_light(planes, 3, terms))

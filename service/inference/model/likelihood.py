@@ -37,6 +37,7 @@ class Terms:
     precision: Images
     data: Images
     full: NDArray[np.bool_]
+    stars: NDArray[np.uint8]
     slopes: Images
     bumps: Images
     gaussians: tuple[tuple[float, float], ...]
@@ -48,6 +49,7 @@ class Terms:
     edge: float
     width: float
     gain: float
+    star: float
     speckle: bool
     shifts: bool
 
@@ -71,6 +73,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
         precision=(1.0 / np.array(sigmas) ** 2).astype(np.float32),
         data=scene.data,
         full=scene.full,
+        stars=scene.stars,
         slopes=sky_slopes(scene.side),
         bumps=shift_bumps(scene.side),
         gaussians=scene.point_spread.gaussians(scene.smoothing),
@@ -82,6 +85,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
         edge=scene.grain * prior.EDGE_PX,
         width=scene.point_spread.width,
         gain=scene.gain,
+        star=prior.STAR,
         speckle=speckle,
         shifts=shifts,
     )
@@ -112,6 +116,21 @@ def t_log_density(residual: Images, variance: Images) -> Images:
     return np.asarray(
         _T_CONSTANT - 0.5 * np.log(variance) - 0.5 * (_NU + 1) * np.log1p(residual**2 / (_NU * variance)), np.float32
     )
+
+
+def _weigh_stars(terms: Terms, residual: Images, variance: Images, weight: Images) -> float:
+    """Nats by which stars better the whole: light apart from the object's may be one's. ``weight`` changes with it.
+
+    A star adds to what the body leaves. Where there is one, a model of less light than is seen tells nothing.
+    """
+    gained = 0.0
+    lost = 0.5 * (_NU + 1) * np.log1p(residual**2 / (_NU * variance)) / terms.area
+    for number in np.unique(terms.stars[terms.stars > 0]):
+        brighter = (terms.stars == number) & (residual > 0)
+        better = float(np.sum(lost[brighter], dtype=np.float64)) - terms.star
+        gained += float(np.logaddexp(0.0, better))
+        weight[brighter] *= np.float32(np.exp(-np.logaddexp(0.0, better)))  # the share that it is the body's
+    return gained
 
 
 def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS) -> Fit:
@@ -147,6 +166,7 @@ class _Unknowns:
         self._offset = terms.offset[lit].astype(np.float64)
         self._n = len(lit)
         self.value = self._mean.copy()
+        self.gained = 0.0  # nats that stars explain
         self._start_gain()
 
     def _whole(self, shares: Array, even: float) -> Images:
@@ -184,13 +204,15 @@ class _Unknowns:
         columns, light, model = self._model()
         dx, dy = gradient(light)
         white = (terms.noise + terms.photon * np.maximum(light, 0)) / terms.area
-        variance = white + np.float32(terms.wrong) * (light**2 + np.float32(terms.edge**2) * (dx**2 + dy**2))
+        wrong = np.float32(terms.wrong) * (light**2 + np.float32(terms.edge**2) * (dx**2 + dy**2))
+        variance = np.asarray(white + wrong, np.float32)
         residual = terms.data - model
         full = terms.full  # at least so much light: more is no contradiction, and tells nothing
         residual[full] = np.maximum(residual[full], 0.0)
-        weight = (_NU + 1) / ((_NU * variance + residual**2) * terms.area)
+        weight = np.asarray((_NU + 1) / ((_NU * variance + residual**2) * terms.area), np.float32)
         weight[full] *= np.minimum(residual[full] / np.sqrt(variance[full]), 1.0)
-        return columns, light, model, residual, np.asarray(variance, np.float32), np.asarray(weight, np.float32)
+        self.gained = _weigh_stars(terms, residual, variance, weight)
+        return columns, light, model, residual, variance, weight
 
     def step(self) -> None:
         """One round: weights from the residual, then a Gauss-Newton step."""
@@ -211,7 +233,7 @@ class _Unknowns:
         normal = ((flat * weight.ravel()) @ flat.T).astype(np.float64)
         deviation, root = self.value - self._mean, np.sqrt(self._precision)
         logdet = float(np.linalg.slogdet(normal / np.outer(root, root) + np.eye(len(root)))[1])
-        evidence = float(np.sum(t_log_density(residual, variance), dtype=np.float64)) / terms.area
+        evidence = float(np.sum(t_log_density(residual, variance), dtype=np.float64)) / terms.area + self.gained
         evidence -= 0.5 * float(np.sum(self._precision * deviation**2)) + 0.5 * logdet
         body = light**2 > terms.noise / terms.area
         chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0

@@ -31,6 +31,7 @@ class Scene:
     low_pass: float = 0.0  # l, px; 0: as the point spread asks
     grain: float = 1.0  # px in which lengths of the discrepancy are told: a patch may be coarser where all is blurred
     light: prior.LightPrior = field(default_factory=prior.LightPrior)
+    starry: NDArray[np.uint8] | None = None  # (S, S) numbers of light that may be a star's, 0 elsewhere
 
     @property
     def side(self) -> int:
@@ -66,6 +67,15 @@ class Scene:
         return np.asarray(share > _FULL_SHARE)
 
     @cached_property
+    def stars(self) -> NDArray[np.uint8]:
+        """(S, S) the number of what may be a star's light, after the low pass; 0 elsewhere."""
+        out = np.zeros(self.image.shape, np.uint8)
+        for number in [] if self.starry is None else np.unique(self.starry[self.starry > 0])[::-1]:
+            alone = (self.starry == number).astype(np.float32)
+            out[spread(alone[None], PointSpread(0.0), self.smoothing)[0] > _FULL_SHARE] = number
+        return out
+
+    @cached_property
     def gain(self) -> float:
         """Log gain to start from: that of the brighter light in the frame."""
         return log(max(float(np.quantile(self.data, 0.99)), 3 * self.sigma))
@@ -78,7 +88,7 @@ class Scene:
             discrepancy=self.discrepancy if discrepancy is None else discrepancy,
             low_pass=self.smoothing,
         )
-        for name in ("data", "area", "full", "gain"):  # of the frame and its low pass alone
+        for name in ("data", "area", "full", "stars", "gain"):  # of the frame and its low pass alone
             other.__dict__[name] = getattr(self, name)
         return other
 

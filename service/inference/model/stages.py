@@ -45,6 +45,11 @@ class PatchLike(Protocol):
         ...
 
     @property
+    def stars(self) -> NDArray[np.uint8]:
+        """(S, S) numbers of pieces of light that may be stars; 0 elsewhere."""
+        ...
+
+    @property
     def origin(self) -> tuple[float, float]:
         """First corner, frame px."""
         ...
@@ -116,6 +121,7 @@ def stage_hill(
         speckle,
         max(grain * stage.low_pass, 0.7 * spread.width),
         grain=grain,
+        starry=patch.stars,
     )
     view = View(patch.origin, patch.binning, len(patch.image), sight.lens)
     free = speckle or told.towards_sun is None

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from service.imaging.background import Sky
 from service.imaging.features import feature_spec
-from service.imaging.patch import Light, cut, find_light, light_of
+from service.imaging.patch import Light, cut, find_light, light_of, pieces_of
 
 SHAPE = (120, 160)
 
@@ -130,6 +130,31 @@ def test_stars_are_not_the_object_nor_of_it():
         find_light(light(body + stars + noise())) for stars in (0.0, star(110, 30, 900) + star(20, 90, 900))
     )
     assert alone == among
+
+
+def test_what_may_be_a_star_is_told_apart_where_it_is():
+    """On the patch too, however coarse; never what is of the object."""
+    image = with_box(50, 40, 90, 70, 8.0) + star(110, 30, 900) + star(95, 80, 300) + noise()
+    given = light(image)
+    pieces = pieces_of(given)
+    marked = pieces.stars_of(given, find_light(given, pieces))
+    assert marked.stars is not None
+    assert (marked.stars[30, 110], marked.stars[80, 95]) == (1, 2)  # the brighter first
+    assert not marked.stars[40:70, 50:90].any()
+    assert np.count_nonzero(marked.stars) < 150
+    whole, coarse = (cut(marked, (80.0, 60.0), 60.0, wanted) for wanted in (80.0, 30.0))
+    assert set(np.unique(whole.stars)) == set(np.unique(coarse.stars)) == {0, 1, 2}
+    x, y = (int(v) for v in whole.origin)
+    assert np.array_equal(whole.stars, marked.stars[y : y + whole.side, x : x + whole.side])
+
+
+def test_stars_do_not_lead_from_one_to_the_next_away_from_the_object():
+    """Each would lie near what those before it span."""
+    chain = sum(star(87 + 9 * k, 55, 110) for k in range(1, 8))
+    alone, among = (find_light(light(with_box(50, 40, 90, 70, 8.0) + more + noise())) for more in (0.0, chain))
+    assert alone is not None and among is not None
+    assert among.right < alone.right + 20
+    assert len(pieces_of(light(with_box(50, 40, 90, 70, 8.0) + chain + noise())).boxes) == 8
 
 
 def test_pieces_nearby_belong_to_the_object_and_far_ones_do_not():

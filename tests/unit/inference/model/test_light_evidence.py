@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 from scipy.stats import multivariate_t
 
+from service.inference.model import prior
 from service.inference.model.likelihood import Terms, fit_light, t_log_density, terms_of
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread
@@ -216,3 +217,33 @@ def test_speckle_and_shifts_are_unknowns_only_where_there_is_air(wings):
     device = lit_body().light.evidence(drawn, 3, terms, 6)
     assert device.log_evidence[0] == pytest.approx(fit.log_evidence, abs=0.05)
     assert np.abs(fit.deviation * np.sqrt(fit.precision))[-12:].max() < 3.0
+
+
+def starry_scene(counts: float, *, told: bool) -> Scene:
+    """The small body, and beside it a star of so many counts; ``told``: its pixels may be one's."""
+    image = seen(pose(), shares(lit_body(), 900.0)) + np.random.default_rng(2).normal(0, 4.0, (VIEW.side,) * 2)
+    image[50:53, 50:53] += counts
+    starry = np.zeros(image.shape, np.uint8)
+    starry[49:54, 49:54] = told
+    return scene(image, 4.0, low_pass=1.0, starry=starry)
+
+
+def test_a_star_beside_the_body_costs_its_price_and_no_more():
+    still = np.zeros((1, 7))
+    alone, among, unknown = (
+        float(body_evidence(starry_scene(counts, told=told), still)[0])
+        for counts, told in ((0.0, True), (400.0, True), (400.0, False))
+    )
+    assert -prior.STAR - 1.0 < among - alone < -prior.STAR + 5.0  # noise that is bright there is forgiven too
+    assert unknown < among - 10.0
+
+
+def test_a_star_does_not_pull_the_pose_that_would_cover_it():
+    """A body that reaches for a star's light wins only where that light is no star's."""
+    turns = np.zeros((2, 7))
+    turns[1, 3:5] = 12.0  # its rim over the star, the true body's own light left over
+    for told in (True, False):
+        found = body_evidence(starry_scene(400.0, told=told), turns)
+        assert found[0] > found[1] + 10.0
+    with_star, without = (body_evidence(starry_scene(400.0, told=told), turns) for told in (True, False))
+    assert with_star[0] - with_star[1] > without[0] - without[1]
