@@ -25,6 +25,7 @@ _LEAST_AREA_PX = 9
 _NEAR = 0.35  # components nearer than this share of the object's diagonal belong to it: booms and panels half in shadow
 _STAR_PX = 11  # extent of a bright star above the threshold
 _NEAR_STAR = 0.06  # share of the diagonal within which even something so small belongs to the object
+_ALMOST_ALL = 0.95  # of a frame's light: what a search's wider sight holds
 _LEAST_BRIGHT_PX = 64
 _MARGIN = 0.3  # sky on each side of the light, as a share of its longer side
 _LEAST_MARGIN_PX = 6
@@ -97,8 +98,9 @@ class Pieces:
     def stars_of(self, light: Light, box: Box | None) -> Light:
         """The light with what may be stars told apart: all that is as small and lies outside of the object's box."""
         x, y = light.origin
-        within = (np.inf,) * 4 if box is None else (box.left - x, box.top - y, box.right - x, box.bottom - y)
-        outside = np.any(self.boxes[:, :2] < within[:2], axis=1) | np.any(self.boxes[:, 2:] > within[2:], axis=1)
+        nothing = (np.inf, np.inf, -np.inf, -np.inf)
+        within = nothing if box is None else (box.left - x, box.top - y, box.right - x, box.bottom - y)
+        outside = _beyond(self.boxes, np.array(within))
         order = np.argsort(-self.total)
         order = order[outside[order] & (self.extent[order] <= _STAR_PX)][:MOST_STARS]
         if not len(order):
@@ -215,18 +217,17 @@ def pieces_of(light: Light) -> Pieces:
     )
 
 
-def find_light(light: Light, pieces: Pieces | None = None, *, specks: bool = False) -> Box | None:
+def find_light(light: Light, pieces: Pieces | None = None) -> Box | None:
     """The box of the brightest connected light and of what lies near it; dark as well as light. None: empty sky.
 
-    What is as small as a star belongs to the object only if it almost touches it; with ``specks``, as larger things do:
-    of a body that is mostly in shadow a few specks are all that is seen. ``pieces``: those of this light.
+    What is as small as a star belongs to the object only if it almost touches it. ``pieces``: those of this light.
     """
     all_pieces = pieces or pieces_of(light)
     boxes = all_pieces.boxes
     if not len(boxes):
         return None
     whole = boxes[np.argmax(all_pieces.total)]
-    small = (all_pieces.extent <= _STAR_PX) & (not specks)
+    small = all_pieces.extent <= _STAR_PX
     large = boxes[~small]
     near = np.zeros(len(large), dtype=bool)
     while (more := _near(large, whole, _NEAR) & ~near).any():
@@ -237,11 +238,34 @@ def find_light(light: Light, pieces: Pieces | None = None, *, specks: bool = Fal
     return Box(*(float(v) for v in whole + np.array([x, y, x, y])))
 
 
+def wider(light: Light, pieces: Pieces, box: Box) -> Box:
+    """The box with the pieces nearest to it, until it holds almost all light: of a body that is mostly in shadow a few
+    specks are all that is seen, and the brightest of them is as good as any other to begin with.
+    """
+    x, y = light.origin
+    whole = np.array([box.left - x, box.top - y, box.right - x, box.bottom - y])
+    enough = _ALMOST_ALL * pieces.total.sum()
+    while True:
+        beyond = _beyond(pieces.boxes, whole)
+        if pieces.total[~beyond].sum() >= enough:
+            return Box(*(float(v) for v in whole + np.array([x, y, x, y])))
+        whole = _around(whole, pieces.boxes[[np.argmin(np.where(beyond, _gaps(pieces.boxes, whole), np.inf))]])
+
+
 def _near(boxes: NDArray[np.float64], whole: NDArray[np.float64], share: float) -> NDArray[np.bool_]:
     """Which boxes are within a share of the diagonal of one."""
-    diagonal = float(np.hypot(whole[2] - whole[0], whole[3] - whole[1]))
+    return np.asarray(_gaps(boxes, whole) <= share * float(np.hypot(whole[2] - whole[0], whole[3] - whole[1])))
+
+
+def _beyond(boxes: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(N,) which boxes are not within one."""
+    return np.asarray(np.any(boxes[:, :2] < whole[:2], axis=1) | np.any(boxes[:, 2:] > whole[2:], axis=1))
+
+
+def _gaps(boxes: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) px between boxes and one."""
     gap = np.maximum(np.maximum(boxes[:, :2] - whole[2:], whole[:2] - boxes[:, 2:]), 0.0)
-    return np.asarray(np.linalg.norm(gap, axis=1) <= share * diagonal)
+    return np.asarray(np.linalg.norm(gap, axis=1))
 
 
 def _around(whole: NDArray[np.float64], boxes: NDArray[np.float64]) -> NDArray[np.float64]:

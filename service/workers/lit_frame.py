@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.background import Sky
-from service.imaging.patch import Box, Light, Patch, Pieces, cut, find_light, light_of, pieces_of, square_around
+from service.imaging.patch import Box, Light, Patch, Pieces, cut, find_light, light_of, pieces_of, square_around, wider
 from service.imaging.psf import estimate_psf_sigma
 from service.inference.model import existence
 from service.inference.model.drawing import Lens
@@ -63,8 +63,8 @@ class LightOfFrame:
 
     @cached_property
     def wide(self) -> Sight | None:
-        """The same with all specks."""
-        return self._sight(find_light(self._light, self._pieces, specks=True))
+        """The same with what lies further off, until almost all light is in it."""
+        return None if self._box is None else self._sight(wider(self._light, self._pieces, self._box))
 
     def around(self, centre: NDArray[np.float64], reach_px: float, span_px: float, psf_px: float) -> Sight:
         """The light within ``reach_px`` of a place; where there is none, a square of ``span_px`` about it."""

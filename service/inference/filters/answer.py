@@ -43,6 +43,7 @@ def mode_spread(rng: np.random.Generator, mixture: Mixture, k: int, domain: Doma
     covariance = covariance_of(mixture, k)[:d, :d]
     mean = mixture.poses[k : k + 1]
     steps = rng.standard_normal((_DRAWS, d)) @ root_of(covariance).T
+    steps[:, 3:] = 0.0  # only turns are looked at; a scale that nothing is known of would overflow
     found = spread(
         retract(mean[np.zeros(_DRAWS, dtype=np.intp)], steps), np.full(_DRAWS, 1 / _DRAWS), mean, domain.wrapping
     )

@@ -27,7 +27,7 @@ class LitFrame(Protocol):
 
     @property
     def wide(self) -> Sight | None:
-        """The same with all specks."""
+        """The same with what lies further off, until almost all light is in it."""
         ...
 
     def around(self, centre: Array, reach_px: float, span_px: float, psf_px: float) -> Sight:

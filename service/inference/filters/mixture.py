@@ -15,6 +15,7 @@ from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.status import status_of, told_existence
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.model import existence, paint, prior
+from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import Quality
 from service.inference.model.dynamics import predicted, predicted_suns
 from service.inference.model.nuisance import Nuisance
@@ -41,7 +42,7 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     noise = motion_noise(given.config.motion, given.domain)
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     ahead = None if before is None else predict(before, noise, dt_s)
-    found = propose(rng, before, given)
+    found = propose(rng, before, ahead, given)
     hill, nuisance = ground(before, ahead, found, given)
     if hill is None or (ahead is None and not (found and found.basins)):
         return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
@@ -88,7 +89,7 @@ def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
     )
 
 
-def propose(rng: np.random.Generator, before: Mixture | None, given: Given) -> Found | None:
+def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted | None, given: Given) -> Found | None:
     """What a search of the whole space finds; None where none is due."""
     if not search_due(before) or given.frame.sight is None:
         return None
@@ -96,10 +97,11 @@ def propose(rng: np.random.Generator, before: Mixture | None, given: Given) -> F
     def alike(poses: Poses) -> Poses:
         return given.domain.wrap(concatenate(*[twin(poses, symmetry) for symmetry in given.twins]))
 
-    first = before is None  # the next frame's search shakes what this one finds
-    moved, equivalents = None if first else rng, alike if given.twins else None
+    moved, equivalents = None if before is None else rng, alike if given.twins else None
     look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
-    return search(*look, moved, equivalents, shake=not first)
+    held = None if ahead is None else Candidates(ahead.poses, ahead.suns, ahead.log_weights)
+    shake = before is not None and before.searches == 1  # once, and not where a first answer waits for it
+    return search(*look, moved, equivalents, shake=shake, held=held)
 
 
 def search_due(before: Mixture | None) -> bool:

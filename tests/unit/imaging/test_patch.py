@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from service.imaging.background import Sky
 from service.imaging.features import feature_spec
-from service.imaging.patch import Light, cut, find_light, light_of, pieces_of
+from service.imaging.patch import Light, cut, find_light, light_of, pieces_of, wider
 
 SHAPE = (120, 160)
 
@@ -155,6 +155,20 @@ def test_stars_do_not_lead_from_one_to_the_next_away_from_the_object():
     assert alone is not None and among is not None
     assert among.right < alone.right + 20
     assert len(pieces_of(light(with_box(50, 40, 90, 70, 8.0) + chain + noise())).boxes) == 8
+
+
+def test_a_wider_sight_holds_almost_all_light_and_no_more():
+    """Specks of one body, far apart; stars that hold a hundredth of the light."""
+    specks = star(40, 40, 900) + star(75, 70, 700) + star(110, 80, 400)
+    given = light(specks + star(150, 10, 25) + noise())
+    pieces = pieces_of(given)
+    box = find_light(given, pieces)
+    assert box is not None and box.right < 50
+    found = wider(given, pieces, box)
+    assert found.left <= 40 and 110 <= found.right < 130 and found.top > 25
+    alone = light(star(40, 40, 900) + noise())
+    box = find_light(alone)
+    assert box is not None and wider(alone, pieces_of(alone), box) == box
 
 
 def test_pieces_nearby_belong_to_the_object_and_far_ones_do_not():

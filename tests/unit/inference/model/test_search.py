@@ -122,6 +122,36 @@ def test_what_lies_around_the_best_can_be_left_to_a_later_search(monkeypatch):
     assert off_deg(search(body(False), sight_of(at), bank(False), TOLD, shake=False).basins[0].pose, at) < 2.0
 
 
+def held_at(poses: Poses) -> Candidates:
+    return Candidates(poses, np.tile(SUN, (len(poses), 1)), np.zeros(len(poses)))
+
+
+def test_a_track_that_nothing_comes_near_ends_the_search_before_its_finest_stages(monkeypatch):
+    monkeypatch.setattr(searching, "finished", lambda *given: pytest.fail("went on"))
+    at = truth(4, False)
+    near = retract(at, 0.03 * np.eye(6)[:1])
+    found = search(body(False), sight_of(at), bank(False), TOLD, shake=False, held=held_at(near))
+    assert found.basins == []
+
+
+def test_a_track_that_is_wrong_is_bettered_by_the_truth():
+    at = truth(4, False)
+    for away in (0.6, 2.0):
+        wrong = retract(at, away * np.eye(6)[1:2])
+        found = search(body(False), sight_of(at), bank(False), TOLD, shake=False, held=held_at(wrong))
+        assert off_deg(found.basins[0].pose, at) < 2.0
+
+
+def test_a_track_is_shaken_though_the_templates_missed_it(monkeypatch):
+    at = truth(4, False)
+    few = Bank(bank(False).suns[:9], bank(False).poses[:9], bank(False).pictures[:, :9])
+    shaken_poses = []
+    monkeypatch.setattr(searching, "shaken", lambda hill, one: shaken_poses.append(one.pose) or [])
+    found = search(body(False), sight_of(at), few, TOLD, held=held_at(at))
+    assert off_deg(found.basins[0].pose, at) < 2.0
+    assert off_deg(shaken_poses[0], at) < 2.0
+
+
 def test_a_sight_that_is_hardly_wider_is_not_looked_at():
     def never(span: float, wanted: float) -> Patch:
         raise AssertionError
