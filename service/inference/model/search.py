@@ -44,11 +44,12 @@ BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, th
 _PER_KIND = 80  # templates of each kind that are looked at with the likelihood
 _SAME_DEG = 2.0  # after refinement
 _SHAKEN, _SHAKEN_RAD, _ALONG_RAD = 24, 0.12, 0.2  # poses around the best, how far about they lie, how far along
-_ABOUT, _ALONG, _SHAKEN_KEPT = 2, 5, 2  # of either kind, how many are tried; how many of all climb to the end
+_ABOUT, _ALONG, _TURNED, _SHAKEN_KEPT = 2, 5, 2, 2  # of each kind, how many are tried; how many climb to the end
 _BETTER = 1.0  # nats: what a basin may be bettered by without another look
 _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06  # about half a step of the bank's, each axis
 _TRIAL_STEPS = 2  # of the finest stage, of what is shaken
 _MIRRORED = 3  # of the best, whose symmetry-equivalents are looked at
+_TURNS_DEG = (-90.0, -60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0, 180.0)  # by which joints are tried
 _WIDER = 1.3  # so much more must a wider sight span
 _BEHIND = 40.0  # nats behind the best at the sharp stage: of 52 frames the truth was never more than 21
 _SAME_JOINT = 0.05  # of a joint's range: within so much it is the same value
@@ -200,7 +201,8 @@ def shaken(hill: Hill, one: Refined) -> list[Refined]:
     """The best of what lies around a pose: what was flat while it was coarse is rough when it is fine.
 
     Some lie some degrees about it in every direction. More lie along its own covariance, widened: turn, place and size
-    make up for each other, and such a valley may have several bottoms.
+    make up for each other, and such a valley may have several bottoms. Of others one joint is turned: its evidence has
+    many tops, from each side of a panel and wherever its edge lies on another's, and only fine pictures tell them.
     """
     d = 6 + one.pose.joints.shape[1]
     drawn = np.random.default_rng(_SHAKEN).standard_normal((2, _SHAKEN, d))
@@ -213,7 +215,8 @@ def shaken(hill: Hill, one: Refined) -> list[Refined]:
     turn = np.sqrt(np.linalg.eigvalsh(one.covariance[:3, :3])[-1])
     along = along * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * (_ALONG_RAD / turn)
     rough = replace(hill, quality=CLEAR.quality)  # good enough to choose
-    near = joined([around(rough, one, steps)[:most] for steps, most in ((about, _ABOUT), (along, _ALONG))])
+    kinds = (about, _ABOUT), (along, _ALONG), (turns_of_joints(hill, d), _TURNED)
+    near = joined([around(rough, one, steps)[:most] for steps, most in kinds if len(steps)])
     out = ascend(hill, near.poses, near.suns, steps=_TRIAL_STEPS, covariance="none")
     out = sorted(out, key=lambda tried: -tried.log_posterior)[:_SHAKEN_KEPT]
     out = [tried for tried in out if tried.log_posterior > one.log_posterior + _BETTER or apart(tried, one)]
@@ -221,6 +224,16 @@ def shaken(hill: Hill, one: Refined) -> list[Refined]:
         return []
     poses, suns = concatenate(*[tried.pose for tried in out]), np.stack([tried.sun for tried in out])
     return ascend(hill, poses, suns, steps=FINEST.steps, covariance="last")
+
+
+def turns_of_joints(hill: Hill, d: int) -> Array:
+    """(N, d) steps of one joint each, of those that turn and of which nothing is known."""
+    joints, out = hill.drawing.articulation.joints, []
+    for k in searched_joints(hill.drawing, hill.told):
+        if joints[k].kind == "revolute":
+            out.append(np.zeros((len(_TURNS_DEG), d)))
+            out[-1][:, 6 + k] = _TURNS_DEG
+    return np.concatenate(out) if out else np.zeros((0, d))
 
 
 def apart(one: Refined, other: Refined) -> bool:

@@ -183,6 +183,16 @@ def test_joints_are_found_with_it():
     assert half_turns(best.pose, at) < 5.0
 
 
+def test_a_panel_that_is_far_off_is_found_by_turning_it():
+    at = truth(4, True)
+    hill = rough_hill(sight_of(at))
+    off = replace(at, joints=at.joints + 62.0)
+    one = ascend(hill, off, SUN[None], steps=1, covariance="last")[0]
+    best = max(shaken(hill, one), key=lambda found: found.log_posterior)
+    assert half_turns(one.pose, at) > 20.0
+    assert half_turns(best.pose, at) < 12.0  # to about its sigma
+
+
 def test_two_joint_values_of_one_rotation_both_go_on():
     """A dark panel seen well, or a bright one turned away: the first stages cannot tell, the last can by 19 nats."""
     at = truth(3, True)
