@@ -132,7 +132,7 @@ class Session:
         facts = await self._facts(frame)
         frame = replace(frame, time=frame.time or facts.time)
         moment = frame_time(record, frame, self._config.motion.frame_interval_s, self._taken)
-        known = await self._known(frame, facts, moment)
+        known = await asyncio.to_thread(self._known, frame, facts, moment)
         contenders, report = await self._track(frame, self.record.background_key, known)
         return await self._commit(frame, known, contenders, report)
 
@@ -152,13 +152,14 @@ class Session:
             self._pointings.resume(estimate)
             self._taken = datetime.fromisoformat(estimate["time"])
 
-    async def _known(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> Known:
-        """The camera at this frame and how it turned since the frame before, the object's range, the light."""
-        record = self.record
-        view = await asyncio.to_thread(self._pointings.view, record, frame, facts, moment)
-        ranged = await asyncio.to_thread(self._ranging.at, moment, facts)
-        lit = await asyncio.to_thread(light_at, self._config, frame.query, moment, view, ranged)
-        return Known(moment, view, ranged, lit)
+    def _known(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> Known:
+        """The camera at this frame and how it turned since the frame before, the object's range, the light.
+
+        In a thread of its own: the ephemeris takes milliseconds.
+        """
+        view = self._pointings.view(self.record, frame, facts, moment)
+        ranged = self._ranging.at(moment, facts)
+        return Known(moment, view, ranged, light_at(self._config, frame.query, moment, view, ranged))
 
     async def _track(
         self, frame: FrameIn, background: str, known: Known
@@ -195,16 +196,8 @@ class Session:
     async def _commit(
         self, frame: FrameIn, known: Known, contenders: tuple[Contender, ...], report: PackedFrameReport
     ) -> Answer:
-        moment, view = known.moment, known.view
-        index, text = self.record.next_index, format_time(moment.utc)
-        names = contenders[leader(contenders)].names
-        models = ranking(contenders) if len(contenders) > 1 else None
-        orbit = None if known.ranged is None else known.ranged.document()
-        session_id, assumed = public_id(self.record.id), assumed_of(self.record, frame)
-        odd = await asyncio.to_thread(warnings_of, report.estimate, moment.utc, self._ranging.site, view, known.ranged)
-        document = await asyncio.to_thread(
-            estimate_document, session_id, index, text, names, report, view, models, orbit, known.lit, assumed, odd
-        )
+        moment, index, text = known.moment, self.record.next_index, format_time(known.moment.utc)
+        document = await asyncio.to_thread(self._document, frame, known, contenders, report)
         given = None if moment.given is None else moment.given.isoformat()
         record = FrameRecord(
             session_id=self.record.id,
@@ -229,7 +222,7 @@ class Session:
         seq = await self._store(record)
         self._observe(report, time.monotonic() - started)
         self._contenders = contenders
-        self._pointings.passed(view)
+        self._pointings.passed(known.view)
         self._taken = moment.utc
         self.record = replace(
             self.record,
@@ -243,6 +236,19 @@ class Session:
         self._rooms.hub.publish(self.record.id, seq, document)
         log.info("frame", frame=index, status=record.status, ms=round(report.timing_ms.get("total", 0), 1))
         return Answer(index, document, duplicate=False)
+
+    def _document(
+        self, frame: FrameIn, known: Known, contenders: tuple[Contender, ...], report: PackedFrameReport
+    ) -> bytes:
+        """The estimate as it is stored and answered."""
+        moment, view, ranged = known.moment, known.view, known.ranged
+        names = contenders[leader(contenders)].names
+        models = ranking(contenders) if len(contenders) > 1 else None
+        orbit = None if ranged is None else ranged.document()
+        session_id, assumed = public_id(self.record.id), assumed_of(self.record, frame)
+        odd = warnings_of(report.estimate, moment.utc, self._ranging.site, view, ranged)
+        index, text = self.record.next_index, format_time(moment.utc)
+        return estimate_document(session_id, index, text, names, report, view, models, orbit, known.lit, assumed, odd)
 
     async def _store(self, record: FrameRecord) -> int:
         try:
