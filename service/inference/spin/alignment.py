@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from itertools import permutations, product
+from itertools import product
 
 import numpy as np
 
-from service.inference.pose import conjugate, exp_so3, log_so3, multiply, rotation_matrices
+from service.inference.pose import conjugate, log_so3, multiply, rotation_matrices
 from service.inference.state import Array
 
 
 def alignments() -> Array:
-    """(24, 4) rotations that take axes to axes."""
-    found = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            if np.linalg.det(matrix) > 0:
-                found.append(_quaternion(matrix))
-    return np.array(found)
+    """(24, 4) rotations that take axes to axes: the unit quaternions along axes, edges and corners of a cube in 4-D."""
+    ways = np.array([way for way in product((1, 0, -1), repeat=4) if any(way)], np.float64)
+    first = ways[np.arange(len(ways)), (ways != 0).argmax(axis=1)]
+    some = ways[(first > 0) & np.isin(np.abs(ways).sum(axis=1), (1, 2, 4))]  # three of four alike: no such rotation
+    return np.asarray(some / np.linalg.norm(some, axis=1, keepdims=True))
 
 
 def offset(quaternion: Array) -> tuple[Array, Array]:
@@ -34,13 +30,6 @@ def tilt(quaternion: Array) -> tuple[float, int]:
     toward = rotation_matrices(quaternion)[2]
     k = int(np.argmax(np.concatenate([toward, -toward])))
     return float(np.arccos(np.clip(np.abs(toward[k % 3]), 0.0, 1.0))), k
-
-
-def _quaternion(matrix: Array) -> Array:
-    """(4,) of a rotation that takes axes to axes."""
-    turns = [exp_so3(np.pi / 2 * k * np.eye(3)[axis]) for axis in range(3) for k in range(4)]
-    every = [multiply(multiply(a, b), c) for a in turns[:4] for b in turns[4:8] for c in turns[8:]]
-    return min(every, key=lambda q: float(np.abs(rotation_matrices(q) - matrix).max()))
 
 
 ALIGNMENTS = alignments()
