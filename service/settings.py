@@ -41,7 +41,7 @@ class Settings(BaseSettings):
     """PostgreSQL: a process that is not heard of for so long loses its sessions to the others."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """Least severe log line that is written."""
-    log_format: Literal["json", "text"] = "json"
+    log_format: Literal["auto", "json", "text"] = "auto"
     """JSON lines for machines, or text for people."""
 
     engine: Literal["process", "ray"] = "process"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -26,6 +26,7 @@ def doctor(
 
     settings = Settings()
     report: dict[str, Any] = {"python": sys.version.split()[0], "data_dir": str(settings.data_dir)}
+    report["storage"] = _storage(settings.data_dir)
     try:
         report["sandbox"] = _sandbox(settings)
         report["worker"] = _describe()
@@ -33,6 +34,8 @@ def doctor(
     except Exception as error:  # noqa: BLE001 -- whatever stops the worker is the diagnosis
         report["error"] = f"{type(error).__name__}: {error}"
         report["ok"] = False
+    if report["ok"] and report["storage"]["error"] is not None:
+        report |= {"ok": False, "error": f"nothing can be stored: {report['storage']['error']}"}
     if as_json:
         typer.echo(orjson.dumps(report, option=orjson.OPT_INDENT_2).decode())
     else:
@@ -45,10 +48,9 @@ def _lines(report: Mapping[str, Any], data_dir: Path) -> Iterator[str]:
     """For people: what there is, one thing a line, and at the end whether tracking can run."""
     versions = report.get("worker", {}).get("versions", {})
     yield f"skypose {versions.get('skypose', '?')}, Python {report['python']}"
-    held = next(folder for folder in (data_dir.absolute(), *data_dir.absolute().parents) if folder.exists())
-    free = shutil.disk_usage(held).free / 2**30
-    writable = "can be written" if os.access(held, os.W_OK) else "CANNOT BE WRITTEN"
-    yield f"data directory {data_dir.absolute()}: {writable}, {free:.1f} GiB free"
+    storage = report["storage"]
+    writable = "can be written" if storage["error"] is None else f"CANNOT BE WRITTEN ({storage['error']})"
+    yield f"data directory {data_dir.absolute()}: {writable}, {storage['free_bytes'] / 2**30:.1f} GiB free"
     for device in report.get("worker", {}).get("devices", ()):
         why = f", not used: {device['rejected']}" if device["rejected"] else ""
         yield f"OpenCL {device['kind']}: {device['name']} ({device['platform']} {device['driver']}){why}"
@@ -61,6 +63,18 @@ def _lines(report: Mapping[str, Any], data_dir: Path) -> Iterator[str]:
     others = (f"{name} {number}" for name, number in versions.items() if name not in ("skypose", "python"))
     yield f"packages: {', '.join(others)}" if versions else "packages: not looked at"
     yield "tracking can run" if report["ok"] else f"tracking CANNOT run: {report['error']}"
+
+
+def _storage(data_dir: Path) -> dict[str, Any]:
+    """Free bytes where the data directory is or would be, and why a file cannot be written there; None: it can."""
+    held = next(folder for folder in (data_dir.absolute(), *data_dir.absolute().parents) if folder.exists())
+    error = None
+    try:
+        with TemporaryDirectory(dir=held) as made:
+            (Path(made) / "written").write_bytes(b"skypose")
+    except OSError as refused:
+        error = refused.strerror or str(refused)
+    return {"free_bytes": shutil.disk_usage(held).free, "error": error}
 
 
 def _sandbox(settings: Settings) -> dict[str, Any]:

@@ -18,14 +18,17 @@ def without_secrets(logger: object, name: str, line: str) -> str:
 
 
 def configure(level: str, log_format: str) -> None:
-    """Set up structlog and pass the standard library's records (uvicorn, alembic) through the same form."""
+    """Set up structlog and pass the standard library's records (uvicorn, alembic) through the same form.
+
+    ``log_format``: ``json``, ``text``, or ``auto``: text on a terminal, else JSON.
+    """
     shared: list[Any] = [
         structlog.contextvars.merge_contextvars,
         structlog.stdlib.add_log_level,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
         structlog.processors.StackInfoRenderer(),
     ]
-    if log_format == "json":
+    if log_format == "json" or (log_format == "auto" and not sys.stderr.isatty()):
         # Without the values of local variables: a key or a frame may be among them.
         plain = structlog.processors.ExceptionRenderer(structlog.tracebacks.ExceptionDictTransformer(show_locals=False))
         last: list[Any] = [plain, structlog.processors.JSONRenderer(), without_secrets]

@@ -7,7 +7,7 @@ import { titleOf } from "./sessions.js";
 const $ = (id) => document.getElementById(id);
 
 export function addHeading(api, { deleted }) {
-  let session = null, model = "", arrived = 0;
+  let session = null, model = "", arrived = 0, ofFrame = []; // ofFrame: warnings of the frame that is shown
 
   $("export").addEventListener("change", async (event) => {
     const format = event.target.value;
@@ -31,8 +31,8 @@ export function addHeading(api, { deleted }) {
     deleted();
   });
 
-  const warn = (ofSession, ofFrame) => {
-    const texts = [...ofSession, ...ofFrame];
+  const warn = () => {
+    const texts = [...session.warnings, ...ofFrame];
     if (texts.join() === [...$("warnings").children].map((line) => line.textContent).join()) return;
     $("warnings").replaceChildren(...texts.map((text) => element("li", text)));
   };
@@ -42,7 +42,7 @@ export function addHeading(api, { deleted }) {
     $("title").textContent = titleOf(now);
     if (now.state !== "ready") $("status").replaceChildren(badge("waiting"));
     if (now.state !== "ready") $("status").firstChild.textContent = "Needs empty sky";
-    warn(now.warnings, []);
+    warn();
     document.title = `${titleOf(now)} · skypose`;
   };
 
@@ -50,6 +50,7 @@ export function addHeading(api, { deleted }) {
     update,
     open(now) {
       model = "";
+      ofFrame = [];
       $("status").replaceChildren();
       $("moment").textContent = now.frames ? "" : "Waiting for the first frame.";
       update(now);
@@ -60,7 +61,8 @@ export function addHeading(api, { deleted }) {
     show(estimate) {
       arrived = performance.now();
       if ($("status").firstChild?.className !== `badge ${estimate.status}`) $("status").replaceChildren(badge(estimate.status));
-      warn(session.warnings, estimate.warnings ?? []);
+      ofFrame = estimate.warnings ?? [];
+      warn();
       $("moment").textContent = `${model ? `${model} · ` : ""}frame ${estimate.index} · ${when(estimate.time)}`;
     },
     // The lamp in the page's head, and the mark over everything that may not be the newest.

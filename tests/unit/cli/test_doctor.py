@@ -38,3 +38,12 @@ def test_people_get_lines():
     assert any(line.startswith("OpenCL ") for line in lines) and "{" not in result.stdout
     (sandbox,) = (line for line in lines if line.startswith("decoding of what clients send: "))
     assert "dies with its parent, no core dumps, no capabilities, no new privileges" in sandbox
+
+
+def test_a_data_directory_that_cannot_be_written_stops_tracking(monkeypatch):
+    monkeypatch.setenv("SKYPOSE_DATA_DIR", "/proc/skypose")  # not even for root
+    lines = RUNNER.invoke(app, ["doctor"])
+    assert lines.exit_code == 1 and "CANNOT BE WRITTEN" in lines.stdout
+    assert lines.stdout.splitlines()[-1].startswith("tracking CANNOT run: nothing can be stored")
+    report = json.loads(RUNNER.invoke(app, ["doctor", "--json"]).output)
+    assert report["storage"]["error"] and not report["ok"]
