@@ -50,6 +50,7 @@ from service.workers.engine import Engine
 from service.workers.inspector import Inspector
 
 log = structlog.get_logger(__name__)
+Contenders = tuple[Contender, ...]
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Session:
         rooms: Rooms,
         record: SessionRecord,
         config: SessionConfig,
-        contenders: tuple[Contender, ...],
+        contenders: Contenders,
     ) -> None:
         self.record = record
         self.inbox = Inbox(record.id, rooms.line, rooms.metrics.stage_seconds.labels("wait").observe)
@@ -153,17 +154,12 @@ class Session:
             self._taken = datetime.fromisoformat(estimate["time"])
 
     def _known(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> Known:
-        """The camera at this frame and how it turned since the frame before, the object's range, the light.
-
-        In a thread of its own: the ephemeris takes milliseconds.
-        """
+        """The camera at this frame and how it turned since the frame before, the object's range, the light."""
         view = self._pointings.view(self.record, frame, facts, moment)
         ranged = self._ranging.at(moment, facts)
         return Known(moment, view, ranged, light_at(self._config, frame.query, moment, view, ranged))
 
-    async def _track(
-        self, frame: FrameIn, background: str, known: Known
-    ) -> tuple[tuple[Contender, ...], PackedFrameReport]:
+    async def _track(self, frame: FrameIn, background: str, known: Known) -> tuple[Contenders, PackedFrameReport]:
         """The frame under every model, one job after the other; the report of the most probable."""
         after, reports = [], []
         for contender in self._contenders:
@@ -193,9 +189,7 @@ class Session:
         )
         return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob)
 
-    async def _commit(
-        self, frame: FrameIn, known: Known, contenders: tuple[Contender, ...], report: PackedFrameReport
-    ) -> Answer:
+    async def _commit(self, frame: FrameIn, known: Known, contenders: Contenders, report: PackedFrameReport) -> Answer:
         moment, index, text = known.moment, self.record.next_index, format_time(known.moment.utc)
         document = await asyncio.to_thread(self._document, frame, known, contenders, report)
         given = None if moment.given is None else moment.given.isoformat()
@@ -237,17 +231,17 @@ class Session:
         log.info("frame", frame=index, status=record.status, ms=round(report.timing_ms.get("total", 0), 1))
         return Answer(index, document, duplicate=False)
 
-    def _document(
-        self, frame: FrameIn, known: Known, contenders: tuple[Contender, ...], report: PackedFrameReport
-    ) -> bytes:
+    def _document(self, frame: FrameIn, known: Known, contenders: Contenders, report: PackedFrameReport) -> bytes:
         """The estimate as it is stored and answered."""
-        moment, view, ranged = known.moment, known.view, known.ranged
+        view, ranged, utc = known.view, known.ranged, known.moment.utc
         names = contenders[leader(contenders)].names
         models = ranking(contenders) if len(contenders) > 1 else None
         orbit = None if ranged is None else ranged.document()
-        session_id, assumed = public_id(self.record.id), assumed_of(self.record, frame)
-        odd = warnings_of(report.estimate, moment.utc, self._ranging.site, view, ranged)
-        index, text = self.record.next_index, format_time(moment.utc)
+        session_id, index, text = public_id(self.record.id), self.record.next_index, format_time(utc)
+        odd, assumed = (
+            warnings_of(report.estimate, utc, self._ranging.site, view, ranged),
+            assumed_of(self.record, frame),
+        )
         return estimate_document(session_id, index, text, names, report, view, models, orbit, known.lit, assumed, odd)
 
     async def _store(self, record: FrameRecord) -> int:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.background import Sky
-from service.imaging.patch import Box, Light, Patch, Pieces, cut, find_light, light_of, pieces_of, square_around, wider
+from service.imaging.patch import Light, Patch, cut, light_of, square_around
+from service.imaging.pieces import Box, Pieces, find_light, pieces_of, wider
 from service.imaging.psf import estimate_psf_sigma
 from service.inference.model import existence
 from service.inference.model.drawing import Lens

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.inference.model.drawing import Drawing
 from service.inference.model.stages import Stage
 from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.hill import Hill
@@ -84,3 +85,9 @@ def log_prior(poses: Poses, suns: Array, told: PosePrior) -> Array:
     if told.log_scale is not None:
         out -= 0.5 * ((poses.log_scale - told.log_scale) / told.log_scale_sigma) ** 2
     return out if told.tracking is None else out + told.tracking.log_density(poses, suns)
+
+
+def searched_joints(drawing: Drawing, told: PosePrior) -> list[int]:
+    """Columns of joints of which nothing is known."""
+    known = () if told.tracking is None else told.tracking.columns
+    return [k for k in range(drawing.articulation.n_joints) if k not in known]

@@ -17,9 +17,11 @@ from service.inference.model.candidates import (
     distinct,
     joined,
     scored,
+    searched_joints,
 )
 from service.inference.model.drawing import Drawing
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
+from service.inference.model.shaking import SAME_DEG, shaken
 from service.inference.model.stages import (
     CLEAR,
     FINEST,
@@ -38,18 +40,12 @@ from service.inference.numerics.gauss_newton import ascend, within
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, concatenate, retract
-from service.inference.state import Array, Poses
+from service.inference.state import Poses
 
 BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, three times at the most
 _PER_KIND = 80  # templates of each kind that are looked at with the likelihood
-_SAME_DEG = 2.0  # after refinement
-_SHAKEN, _SHAKEN_RAD, _ALONG_RAD = 24, 0.12, 0.2  # poses around the best, how far about they lie, how far along
-_ABOUT, _ALONG, _TURNED, _SHAKEN_KEPT = 2, 5, 2, 2  # of each kind, how many are tried; how many climb to the end
-_BETTER = 1.0  # nats: what a basin may be bettered by without another look
 _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06  # about half a step of the bank's, each axis
-_TRIAL_STEPS = 2  # of the finest stage, of what is shaken
 _MIRRORED = 3  # of the best, whose symmetry-equivalents are looked at
-_TURNS_DEG = (-90.0, -60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0, 180.0)  # by which joints are tried
 _WIDER = 1.3  # so much more must a wider sight span
 _BEHIND = 40.0  # nats behind the best at the sharp stage: of 52 frames the truth was never more than 21
 _SAME_JOINT = 0.05  # of a joint's range: within so much it is the same value
@@ -181,78 +177,27 @@ def finished(
     some = scored(hill, some)
     nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
     some = climbed(stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True), some, CLEAR, HOPELESS)
-    hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
-    some = scored(hill, some)
-    nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
-    hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
+    some = scored(stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), some)
     some = some[np.arange(min(FINEST.kept, len(some.found)))]
-    nuisance = best_discrepancy(hill, some.poses[:1], some.suns[:1], nuisance)
-    hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
+    hill, nuisance = finest_hill(body, sight, some, nuisance, told)
     out = ascend(hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
     out.sort(key=lambda one: -one.log_posterior)
     out = [one for one in out if one.log_posterior > out[0].log_posterior - HOPELESS]
     out += shaken(hill, out[0]) if shake else []
     out.sort(key=lambda one: -one.log_posterior)
-    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(_SAME_DEG))
+    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG))
     return Found([out[k] for k in kept], hill, nuisance)
 
 
-def shaken(hill: Hill, one: Refined) -> list[Refined]:
-    """The best of what lies around a pose: what was flat while it was coarse is rough when it is fine.
-
-    Some lie some degrees about it in every direction. More lie along its own covariance, widened: turn, place and size
-    make up for each other, and such a valley may have several bottoms. Of others one joint is turned: its evidence has
-    many tops, from each side of a panel and wherever its edge lies on another's, and only fine pictures tell them.
-    """
-    d = 6 + one.pose.joints.shape[1]
-    drawn = np.random.default_rng(_SHAKEN).standard_normal((2, _SHAKEN, d))
-    about, along = drawn[0], drawn[1]
-    about[:, :3] *= _SHAKEN_RAD
-    about[:, 3:5] *= 0.1 * _SHAKEN_RAD * hill.drawing.radius * np.exp(one.pose.log_scale)
-    about[:, 5] *= 0.2 * _SHAKEN_RAD
-    about[:, 6:] *= np.rad2deg(_SHAKEN_RAD)
-    values, vectors = np.linalg.eigh(one.covariance)
-    turn = np.sqrt(np.linalg.eigvalsh(one.covariance[:3, :3])[-1])
-    along = along * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * (_ALONG_RAD / turn)
-    rough = replace(hill, quality=CLEAR.quality)  # good enough to choose
-    kinds = (about, _ABOUT), (along, _ALONG), (turns_of_joints(hill, d), _TURNED)
-    near = joined([around(rough, one, steps)[:most] for steps, most in kinds if len(steps)])
-    out = ascend(hill, near.poses, near.suns, steps=_TRIAL_STEPS, covariance="none")
-    out = sorted(out, key=lambda tried: -tried.log_posterior)[:_SHAKEN_KEPT]
-    out = [tried for tried in out if tried.log_posterior > one.log_posterior + _BETTER or apart(tried, one)]
-    if not out:
-        return []
-    poses, suns = concatenate(*[tried.pose for tried in out]), np.stack([tried.sun for tried in out])
-    return ascend(hill, poses, suns, steps=FINEST.steps, covariance="last")
-
-
-def turns_of_joints(hill: Hill, d: int) -> Array:
-    """(N, d) steps of one joint each, of those that turn and of which nothing is known."""
-    joints, out = hill.drawing.articulation.joints, []
-    for k in searched_joints(hill.drawing, hill.told):
-        if joints[k].kind == "revolute":
-            out.append(np.zeros((len(_TURNS_DEG), d)))
-            out[-1][:, 6 + k] = _TURNS_DEG
-    return np.concatenate(out) if out else np.zeros((0, d))
-
-
-def apart(one: Refined, other: Refined) -> bool:
-    """Whether two poses are two basins."""
-    return len(distinct(concatenate(one.pose, other.pose), np.deg2rad(_SAME_DEG))) > 1
-
-
-def around(hill: Hill, one: Refined, steps: Array) -> Candidates:
-    """A pose's neighbours, best first."""
-    start = one.pose[np.zeros(len(steps), dtype=np.intp)]
-    moved = retract(start, steps)
-    moved = replace(moved, joints=within(hill.drawing, moved.joints))
-    return scored(hill, Candidates(moved, np.tile(one.sun, (len(steps), 1)), np.zeros(len(steps))))
-
-
-def searched_joints(drawing: Drawing, told: PosePrior) -> list[int]:
-    """Columns of joints of which nothing is known."""
-    known = () if told.tracking is None else told.tracking.columns
-    return [k for k in range(drawing.articulation.n_joints) if k not in known]
+def finest_hill(
+    body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior
+) -> tuple[Hill, Nuisance]:
+    """The finest stage under the point spread and the discrepancy that explain the frame best at the best of some."""
+    poses, suns = some.poses[:1], some.suns[:1]
+    for better in (best_spread, best_discrepancy):
+        hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
+        nuisance = better(hill, poses, suns, nuisance)
+    return stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance
 
 
 def bank_size(n_joints: int) -> int:

@@ -8,7 +8,8 @@ from scipy.ndimage import gaussian_filter
 
 from service.imaging.background import Sky
 from service.imaging.features import feature_spec
-from service.imaging.patch import Light, cut, find_light, light_of, pieces_of, wider
+from service.imaging.patch import Light, cut, light_of
+from service.imaging.pieces import find_light, pieces_of, wider
 
 SHAPE = (120, 160)
 

@@ -1,88 +1,41 @@
 """A frame of which nothing is known: a pose is found from templates alone, and the parts of the way there."""
 
-import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from lit_body import QUALITY, SUN, lit_body, shares
-from scipy.spatial.transform import Rotation
+from lit_body import SUN, lit_body
+from lit_search import (
+    TOLD,
+    bank,
+    body,
+    dark_sight,
+    half_turns,
+    held_at,
+    is_ordered,
+    off_deg,
+    rough_hill,
+    sight_of,
+    truth,
+)
 
-from service.imaging.patch import Light, Patch, cut, find_light
+from service.imaging.patch import Patch
 from service.inference.model import search as searching
 from service.inference.model.candidates import Candidates, best_of, distinct, log_prior, scored
-from service.inference.model.drawing import View
 from service.inference.model.nuisance import Nuisance
-from service.inference.model.search import Found, make_bank, propose, search, shaken, varied
-from service.inference.model.spread import PointSpread, spread
-from service.inference.model.stages import FINEST, ROUGH, Body, Sight, stage_hill
+from service.inference.model.search import make_bank, propose, search, varied
+from service.inference.model.shaking import shaken
+from service.inference.model.stages import FINEST, Sight
 from service.inference.model.templates import Bank
 from service.inference.numerics.gauss_newton import ascend
-from service.inference.numerics.hill import Hill
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import angle_between, exp_so3, retract
+from service.inference.pose import exp_so3, retract
 from service.inference.state import Poses
-
-SIGMA, SIZE = 4.0, 144
-TOLD = PosePrior(towards_sun=SUN)
 
 
 @pytest.fixture(autouse=True)
 def _small_banks(monkeypatch):
     monkeypatch.setattr(searching, "BANK_SIZE", 1500)
-
-
-@functools.cache
-def body(jointed: bool) -> Body:
-    drawing = lit_body()
-    if not jointed:
-        drawing = replace(drawing, articulation=replace(drawing.articulation, joints=()))
-    return Body(drawing, drawing, drawing)
-
-
-@functools.cache
-def bank(jointed: bool) -> Bank:
-    return make_bank(body(jointed), TOLD)
-
-
-def truth(seed: int, jointed: bool, rim_px: float = 26.0) -> Poses:
-    quaternion = Rotation.random(random_state=seed).as_quat()[None]
-    joints = np.random.default_rng(seed).uniform(-180, 180, (1, 1 if jointed else 0))
-    return Poses(quaternion, np.array([[70.0, 75.0]]), np.log([rim_px / lit_body().radius]), joints)
-
-
-def sight_of(at: Poses, size: int = SIZE) -> Sight:
-    """The light of a frame that the model has made."""
-    drawing = body(bool(at.joints.size)).fine
-    drawn = drawing.combined(at, SUN, shares(drawing, 700.0), View((0.0, 0.0), 1.0, size), QUALITY)
-    image = spread(drawn, PointSpread(1.3), 0.0)[0] + np.random.default_rng(0).normal(0, SIGMA, (size, size))
-    light = Light(image.astype(np.float32), SIGMA, 1e-3, 1.0, np.zeros(image.shape, bool))
-    box = find_light(light)
-    return Sight(lambda span, wanted: cut(light, box.centre, span, wanted), box.side, 1.1)
-
-
-def dark_sight() -> Sight:
-    """A frame of the empty sky."""
-    light = Light(np.zeros((SIZE, SIZE), np.float32), SIGMA, 1e-3, 1.0, np.zeros((SIZE, SIZE), bool))
-    return Sight(lambda span, wanted: cut(light, (72.0, 72.0), span, wanted), 40.0, 1.1)
-
-
-def off_deg(found: Poses, at: Poses) -> np.ndarray:
-    return np.rad2deg(angle_between(found.quaternion, at.quaternion[0]))
-
-
-def half_turns(found: Poses, at: Poses) -> np.ndarray:
-    """(N,) deg of the panel, which looks the same from either side."""
-    return np.abs((found.joints - at.joints + 90) % 180 - 90)[:, 0]
-
-
-def rough_hill(sight: Sight, told: PosePrior = TOLD) -> Hill:
-    return stage_hill(body(True).rough, sight, ROUGH, Nuisance(1.3), told, speckle=False)
-
-
-def is_ordered(found: Found) -> bool:
-    values = [one.log_posterior for one in found.basins]
-    return values == sorted(values, reverse=True)
 
 
 @pytest.mark.parametrize(("seed", "scale_told"), [(2, False), (4, True)])
@@ -120,10 +73,6 @@ def test_what_lies_around_the_best_can_be_left_to_a_later_search(monkeypatch):
     monkeypatch.setattr(searching, "shaken", lambda *given: pytest.fail("looked at"))
     at = truth(4, False)
     assert off_deg(search(body(False), sight_of(at), bank(False), TOLD, shake=False).basins[0].pose, at) < 2.0
-
-
-def held_at(poses: Poses) -> Candidates:
-    return Candidates(poses, np.tile(SUN, (len(poses), 1)), np.zeros(len(poses)))
 
 
 def test_a_track_that_nothing_comes_near_ends_the_search_before_its_finest_stages(monkeypatch):

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lit_body import SUN, box, lit_body, lit_mesh
-from test_search import TOLD, Body, half_turns, off_deg, sight_of, truth
+from lit_search import TOLD, half_turns, off_deg, sight_of, truth
 
 from gpu.mesh import assemble
 from service.errors import ConfigError
 from service.inference.articulation import Articulation, Joint, Stage, part_transforms
 from service.inference.model import search as searching
 from service.inference.model.search import make_bank, search, searched_joints
+from service.inference.model.stages import Body
 from service.inference.params import JointParams
 from service.inference.pose import exp_so3, retract
 from service.inference.state import Poses

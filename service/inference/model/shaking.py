@@ -1,0 +1,73 @@
+"""What lies around the best pose of a search: bottoms of its valley, sides of its panels (docs/model.md, 4)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from service.inference.model.candidates import Candidates, distinct, joined, scored, searched_joints
+from service.inference.model.stages import CLEAR, FINEST
+from service.inference.numerics.gauss_newton import ascend, within
+from service.inference.numerics.hill import Hill, Refined
+from service.inference.pose import concatenate, retract
+from service.inference.state import Array
+
+SAME_DEG = 2.0  # after refinement
+_SHAKEN, _SHAKEN_RAD, _ALONG_RAD = 24, 0.12, 0.2  # poses around the best, how far about they lie, how far along
+_ABOUT, _ALONG, _TURNED, _SHAKEN_KEPT = 2, 5, 2, 2  # of each kind, how many are tried; how many climb to the end
+_BETTER = 1.0  # nats: what a basin may be bettered by without another look
+_TRIAL_STEPS = 2  # of the finest stage, of what is shaken
+_TURNS_DEG = (-90.0, -60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0, 180.0)  # by which joints are tried
+
+
+def shaken(hill: Hill, one: Refined) -> list[Refined]:
+    """The best of what lies around a pose: what was flat while it was coarse is rough when it is fine.
+
+    Some lie some degrees about it in every direction. More lie along its own covariance, widened: turn, place and size
+    make up for each other, and such a valley may have several bottoms. Of others one joint is turned: its evidence has
+    many tops, from each side of a panel and wherever its edge lies on another's, and only fine pictures tell them.
+    """
+    d = 6 + one.pose.joints.shape[1]
+    drawn = np.random.default_rng(_SHAKEN).standard_normal((2, _SHAKEN, d))
+    about, along = drawn[0], drawn[1]
+    about[:, :3] *= _SHAKEN_RAD
+    about[:, 3:5] *= 0.1 * _SHAKEN_RAD * hill.drawing.radius * np.exp(one.pose.log_scale)
+    about[:, 5] *= 0.2 * _SHAKEN_RAD
+    about[:, 6:] *= np.rad2deg(_SHAKEN_RAD)
+    values, vectors = np.linalg.eigh(one.covariance)
+    turn = np.sqrt(np.linalg.eigvalsh(one.covariance[:3, :3])[-1])
+    along = along * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * (_ALONG_RAD / turn)
+    rough = replace(hill, quality=CLEAR.quality)  # good enough to choose
+    kinds = (about, _ABOUT), (along, _ALONG), (turns_of_joints(hill, d), _TURNED)
+    near = joined([around(rough, one, steps)[:most] for steps, most in kinds if len(steps)])
+    out = ascend(hill, near.poses, near.suns, steps=_TRIAL_STEPS, covariance="none")
+    out = sorted(out, key=lambda tried: -tried.log_posterior)[:_SHAKEN_KEPT]
+    out = [tried for tried in out if tried.log_posterior > one.log_posterior + _BETTER or apart(tried, one)]
+    if not out:
+        return []
+    poses, suns = concatenate(*[tried.pose for tried in out]), np.stack([tried.sun for tried in out])
+    return ascend(hill, poses, suns, steps=FINEST.steps, covariance="last")
+
+
+def turns_of_joints(hill: Hill, d: int) -> Array:
+    """(N, d) steps of one joint each, of those that turn and of which nothing is known."""
+    joints, out = hill.drawing.articulation.joints, []
+    for k in searched_joints(hill.drawing, hill.told):
+        if joints[k].kind == "revolute":
+            out.append(np.zeros((len(_TURNS_DEG), d)))
+            out[-1][:, 6 + k] = _TURNS_DEG
+    return np.concatenate(out) if out else np.zeros((0, d))
+
+
+def apart(one: Refined, other: Refined) -> bool:
+    """Whether two poses are two basins."""
+    return len(distinct(concatenate(one.pose, other.pose), np.deg2rad(SAME_DEG))) > 1
+
+
+def around(hill: Hill, one: Refined, steps: Array) -> Candidates:
+    """A pose's neighbours, best first."""
+    start = one.pose[np.zeros(len(steps), dtype=np.intp)]
+    moved = retract(start, steps)
+    moved = replace(moved, joints=within(hill.drawing, moved.joints))
+    return scored(hill, Candidates(moved, np.tile(one.sun, (len(steps), 1)), np.zeros(len(steps))))
