@@ -42,7 +42,7 @@ class Settings(BaseSettings):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """Least severe log line that is written."""
     log_format: Literal["auto", "json", "text"] = "auto"
-    """JSON lines for machines, or text for people."""
+    """JSON lines for machines, text for people; ``auto``: text on a terminal, else JSON."""
 
     engine: Literal["process", "ray"] = "process"
     """What runs the workers: processes of this machine, or actors of a Ray cluster (docs/engines.md)."""

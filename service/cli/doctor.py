@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -67,6 +66,8 @@ def _lines(report: Mapping[str, Any], data_dir: Path) -> Iterator[str]:
 
 def _storage(data_dir: Path) -> dict[str, Any]:
     """Free bytes where the data directory is or would be, and why a file cannot be written there; None: it can."""
+    from service.store.disk import free_bytes
+
     held = next(folder for folder in (data_dir.absolute(), *data_dir.absolute().parents) if folder.exists())
     error = None
     try:
@@ -74,7 +75,7 @@ def _storage(data_dir: Path) -> dict[str, Any]:
             (Path(made) / "written").write_bytes(b"skypose")
     except OSError as refused:
         error = refused.strerror or str(refused)
-    return {"free_bytes": shutil.disk_usage(held).free, "error": error}
+    return {"free_bytes": free_bytes(held), "error": error}
 
 
 def _sandbox(settings: Settings) -> dict[str, Any]:

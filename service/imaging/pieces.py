@@ -19,7 +19,7 @@ _NEAR = 0.35  # components nearer than this share of the object's diagonal belon
 _STAR_PX = 11  # extent of a bright star above the threshold
 _NEAR_STAR = 0.06  # share of the diagonal within which even something so small belongs to the object
 _ALMOST_ALL = 0.95  # of a frame's light: what a search's wider sight holds
-MOST_STARS = 31  # that are told apart
+_MOST_STARS = 31  # that are told apart
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Pieces:
         within = nothing if box is None else (box.left - x, box.top - y, box.right - x, box.bottom - y)
         outside = _beyond(self.boxes, np.array(within))
         order = np.argsort(-self.total)
-        order = order[outside[order] & (self.extent[order] <= _STAR_PX)][:MOST_STARS]
+        order = order[outside[order] & (self.extent[order] <= _STAR_PX)][:_MOST_STARS]
         if not len(order):
             return light
         named = np.zeros(int(self.labels.max()) + 1, np.uint8)

@@ -238,10 +238,8 @@ class Session:
         models = ranking(contenders) if len(contenders) > 1 else None
         orbit = None if ranged is None else ranged.document()
         session_id, index, text = public_id(self.record.id), self.record.next_index, format_time(utc)
-        odd, assumed = (
-            warnings_of(report.estimate, utc, self._ranging.site, view, ranged),
-            assumed_of(self.record, frame),
-        )
+        odd = warnings_of(report.estimate, utc, self._ranging.site, view, ranged)
+        assumed = assumed_of(self.record, frame)
         return estimate_document(session_id, index, text, names, report, view, models, orbit, known.lit, assumed, odd)
 
     async def _store(self, record: FrameRecord) -> int:

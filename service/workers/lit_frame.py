@@ -95,7 +95,7 @@ class LightOfFrame:
     @cached_property
     def _all(self) -> Light:
         """Of the whole frame, wherever the object was found."""
-        if self._light.image.shape == self._whole.image.shape:
+        if self._light.image is self._whole.image:
             return self._light
         return pieces_of(self._whole).stars_of(self._whole, self._box)
 

@@ -106,7 +106,7 @@ def search(
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
-        again = under(hill, some[np.arange(min(_LIT_ANEW, len(some.found)))], _MORE_SUNS)
+        again = under(hill, some[:_LIT_ANEW], _MORE_SUNS)
         some = best_of(joined([some, *again]), SHARP.kept, SHARED_DEG)
     if held is not None:
         known = climbed(hill, scored(hill, held), SHARP)
@@ -116,7 +116,7 @@ def search(
         some = best_of(joined([some, known]), SHARP.kept, SHARED_DEG)
     some = some[np.flatnonzero(some.found > some.found[0] - _BEHIND)]
     if alike is not None:
-        first = some[np.arange(min(_MIRRORED, len(some.found)))]
+        first = some[:_MIRRORED]
         poses = alike(first.poses)
         suns = np.tile(first.suns, (len(poses) // len(first.poses), 1))
         some = joined([some, Candidates(poses, suns, np.full(len(poses), -np.inf))])
@@ -178,7 +178,7 @@ def finished(
     nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
     some = climbed(stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True), some, CLEAR, HOPELESS)
     some = scored(stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), some)
-    some = some[np.arange(min(FINEST.kept, len(some.found)))]
+    some = some[: FINEST.kept]
     hill, nuisance = finest_hill(body, sight, some, nuisance, told)
     out = ascend(hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
     out.sort(key=lambda one: -one.log_posterior)
