@@ -18,6 +18,7 @@ from gpu.evidence_terms import LANES, Terms, inputs_of
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
 
 Numbers = NDArray[np.float32]
+Window = tuple[slice, slice]  # rows and columns of a patch
 FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
 EIGHT, NEAR, ODD = 8, 704, 5  # as the kernel has them
 HERMITE, BUMPS = 12, 9
@@ -30,6 +31,7 @@ class Answers:
     log_evidence: NDArray[np.float64]  # (N,)
     chi2: NDArray[np.float64]  # (N,)
     coefficients: Numbers  # (N, Q) what ``ShadedBody.combined`` draws the same light with
+    values: Numbers  # (N, U) where the unknowns ended, in the order of ``Terms.mean``
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class Details:
     weight: Numbers  # (S, S) over A
     model: Numbers
     light: Numbers
-    columns: Numbers  # (M, S, S)
+    window: Window  # beyond it no pose near by changes anything
+    columns: Numbers  # (M, rows, columns) in the window
     precision: NDArray[np.float64]  # (M,)
     deviation: NDArray[np.float64]  # (M,)
     normal: NDArray[np.float64]  # (M, M) curvature of the log posterior
@@ -110,9 +113,9 @@ class LightEvidence:
         host = inputs_of(several, numbers)
         length = side + 2 * _lanes(host.radius)
         each = _room(unknowns, n_planes, side, length)
-        out, drawn = np.empty((n, 4), np.float32), np.empty((n, n_planes), np.float32)
+        out, drawn, ended = (np.empty((n, count), np.float32) for count in (4, n_planes, unknowns))
         if n == 0:
-            return Answers(np.empty(0), np.empty(0), drawn)
+            return Answers(np.empty(0), np.empty(0), drawn, ended)
         items = min(n, int(self._queue.device.max_compute_units))
         with device_errors(self.name):
             flags = cl.mem_flags
@@ -120,8 +123,10 @@ class LightEvidence:
             given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
             inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
             inputs.insert(3, np.int32(host.every))
+            inputs.insert(5, np.int32(host.started))
             sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, length, host.n_stars)
-            result, coefficients = (cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in (out, drawn))
+            told = (out, drawn, ended)
+            results = [cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in told]
             more = None
             if details is not None:
                 more = cl.Buffer(self._context, flags.WRITE_ONLY | flags.USE_HOST_PTR, hostbuf=details)
@@ -135,15 +140,15 @@ class LightEvidence:
             )
             tail = (self._memory.of(4 * each * items), np.uint64(each))
             counter = zero(self._context)
-            self._kernel(self._queue, (items,), (1,), *head, result, coefficients, more, *tail, counter)
-            cl.enqueue_copy(self._queue, out, result)
-            cl.enqueue_copy(self._queue, drawn, coefficients)
+            self._kernel(self._queue, (items,), (1,), *head, *results, more, *tail, counter)
+            for array, result in zip(told, results, strict=True):
+                cl.enqueue_copy(self._queue, array, result)
             if more is not None and details is not None:
                 reading = cl.map_flags.READ
                 mapped, _ = cl.enqueue_map_buffer(self._queue, more, reading, 0, details.shape, details.dtype)
                 mapped.base.release(self._queue)
                 self._queue.finish()
-        return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn)
+        return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn, ended)
 
 
 def open_evidence(kind: str = "cpu") -> LightEvidence:
@@ -157,13 +162,16 @@ def _details(row: Numbers, unknowns: int, always: int, side: int) -> Details:
     maps = row[LANES : LANES + 4 * pixels].reshape(4, side, side)
     rest = row[LANES + 4 * pixels :]
     tail = rest[unknowns * pixels :]
-    columns = rest[: count * pixels].reshape(count, side, side)
+    top, bottom, left, right = (int(v) for v in row[1:5])
+    shape = count, bottom - top, right - left
+    columns = rest[: count * shape[1] * shape[2]].reshape(shape)
+    window = slice(top, bottom), slice(left, right)
     starts = (0, unknowns, 2 * unknowns, unknowns * (unknowns + 2), unknowns * (unknowns + 3))
     lengths = (count, count, count * count, count, count - always)
     parts = [tail[at : at + length].astype(np.float64) for at, length in zip(starts, lengths, strict=True)]
     maps_four = maps[0], maps[1], maps[2], maps[3]
     more = parts[2].reshape(count, count), parts[3], parts[4].astype(np.intp)
-    return Details(*maps_four, columns, parts[0], parts[1], *more)
+    return Details(*maps_four, window, columns, parts[0], parts[1], *more)
 
 
 def _lanes(count: int) -> int:

@@ -64,6 +64,11 @@ class Terms(Protocol):
         ...
 
     @property
+    def start(self) -> Numbers | None:
+        """(N, U) where the unknowns of N poses begin; None: at ``mean``, the gain as it fits best."""
+        ...
+
+    @property
     def noise(self) -> float:
         """Variance of a pixel of empty sky."""
         ...
@@ -123,9 +128,10 @@ class Terms(Protocol):
 class HostInputs:
     """Of N poses, in the order in which the kernel takes them."""
 
-    # offset, mean, precision, data, marks, slopes, bumps, weights, radii, taps, boxes
+    # offset, mean, precision, start, data, marks, slopes, bumps, weights, radii, taps, boxes
     arrays: tuple[NDArray[np.generic], ...]
     every: int  # priors from one pose to the next; 0: all have the same
+    started: bool  # whether `start` says where unknowns begin
     n_stars: int
     scalars: tuple[float, ...]
     spreads: NDArray[np.int32]  # (N, 4)
@@ -142,13 +148,15 @@ def inputs_of(several: Sequence[Terms], numbers: Sequence[int]) -> HostInputs:
     spreads, weights, taps = spreads_of([one.gaussians for one in each] or [terms.gaussians], numbers)
     radii = np.array([len(t) // 2 for t in taps], np.int32)
     marks = terms.full.astype(np.uint8) | terms.stars << 1
-    arrays = (terms.offset, mean, precision, terms.data, marks, terms.slopes, terms.bumps)
+    starts = [one.start for one in several if one.start is not None]
+    start = np.concatenate([np.atleast_2d(one) for one in starts]) if starts else np.zeros((1, 1), np.float32)
+    arrays = (terms.offset, mean, precision, start, terms.data, marks, terms.slopes, terms.bumps)
     boxes = boxes_of(terms.stars)
     scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.edge**2, terms.gain, terms.star)
     own = np.array([(one.wrong, one.width) for one in each], np.float32)
     whole = (*arrays, weights, radii, np.concatenate(taps), boxes if len(boxes) else np.zeros((1, 5), np.int32))
     every = mean.shape[1] if mean.ndim == 2 else 0
-    return HostInputs(whole, every, len(boxes), scalars, spreads, own, int(radii.max()))
+    return HostInputs(whole, every, bool(starts), len(boxes), scalars, spreads, own, int(radii.max()))
 
 
 def boxes_of(stars: NDArray[np.uint8]) -> NDArray[np.int32]:

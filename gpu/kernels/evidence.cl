@@ -293,10 +293,11 @@ static void prepare(const Scene s, const Room r, __global const float *slopes)
     }
 }
 
-// The pictures of the unknowns, their priors and first values. How many positives are lit.
+// The pictures of the unknowns, their priors and first values: `start`, or where there is none the prior's and the
+// gain that fits best with it. How many positives are lit.
 static int begin(const Scene s, const Room r, __global const float *planes, __global const float *offset,
-    __global const float *given_mean, __global const float *given_precision, __global const float *data,
-    __global const float *weights, __global const int *radii, __global const float *taps, const int groups,
+    __global const float *given_mean, __global const float *given_precision, __global const float *start,
+    __global const float *data, __global const float *weights, __global const int *radii, __global const float *taps, const int groups,
     Box *body)
 {
     const Box all = {0, s.side, 0, s.side};
@@ -326,16 +327,15 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         r.plane[lit] = p;
         r.mean[lit] = (double)given_mean[p];
         r.precision[lit] = (double)given_precision[p];
+        r.value[lit] = start ? (double)start[p] : r.mean[lit];
         ++lit;
     }
     for (int k = s.positives; k < s.unknowns; ++k) {
         r.mean[lit + k - s.positives] = (double)given_mean[k];
         r.precision[lit + k - s.positives] = (double)given_precision[k];
+        r.value[lit + k - s.positives] = (double)(start ? start[k] : given_mean[k]);
     }
-    for (int k = 0; k < lit + s.unknowns - s.positives; ++k) {
-        r.value[k] = r.mean[k];
-        r.scale[k] = 1.0f;
-    }
+    for (int k = 0; k < lit + s.unknowns - s.positives; ++k) r.scale[k] = 1.0f;
     if (s.speckle) {
         const float factorial[5] = {1, 1, 2, 6, 24};
         int m = lit + 6;
@@ -343,6 +343,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
             for (int b = 0; b <= order; ++b)
                 r.scale[m++] = pown(s.width, order) / sqrt(factorial[order - b] * factorial[b]);
     }
+    if (start) return lit;
     // The gain by least squares, everything else at its prior.
     clear(r.light, all, s.side);
     for (int m = 0; m < lit; ++m)
@@ -378,6 +379,15 @@ static double log_density(const Scene s, const Room r, float *chi2)
     return total + density * s.pixels;
 }
 
+// Where the unknowns are, in the order in which they are given; dark planes' at their prior means.
+static void tell_values(const Scene s, const Room r, const int lit, __global const float *given_mean,
+    __global float *out)
+{
+    for (int p = 0; p < s.positives; ++p) out[p] = given_mean[p];
+    for (int m = 0; m < lit; ++m) out[r.plane[m]] = (float)r.value[m];
+    for (int k = s.positives; k < s.unknowns; ++k) out[k] = (float)r.value[lit + k - s.positives];
+}
+
 // How many numbers `tell` writes.
 static size_t told_size(const Scene s)
 {
@@ -394,14 +404,18 @@ static void tell_normal(const Scene s, const Room r, const int count, const int 
     }
 }
 
-// For Gauss-Newton: count; residual, weight, model, light; then every scaled picture, precision, deviation; last of
-// all the numbers of the planes that are lit.
+// For Gauss-Newton: count, and the box in which pictures are told; residual, weight, model, light; then in that box
+// every scaled picture; precision, deviation; last of all the numbers of the planes that are lit.
 static void tell(const Scene s, const Room r, const int lit, const int count, const Box body, __global float *out)
 {
-    const Box all = {0, s.side, 0, s.side};
     __global float *to = out + LANES;
     __global const float *residual = picture_in(s, r, RESIDUAL);
+    const int wide = max(body.right - body.left, 0), tall = max(body.bottom - body.top, 0);
     out[0] = count;
+    out[1] = body.top;
+    out[2] = body.top + tall;
+    out[3] = body.left;
+    out[4] = body.left + wide;
     for (int k = 0; k < s.pixels; k += LANES) {
         const floats root = floats_at(r.root + k);
         put(to + k, floats_at(residual + k));
@@ -410,17 +424,18 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
         put(to + 3 * s.pixels + k, floats_at(r.light + k));
     }
     to += 4 * s.pixels;
-    for (int i = 0; i < count; ++i, to += s.pixels) {
+    __global float *picked = to;
+    for (int i = 0; i < count; ++i) {
         __global const float *picture = i == lit ? r.light : picture_in(s, r, slot_of(s, lit, i));
         const Box box = i == lit ? body : r.box[slot_of(s, lit, i)];
-        for (int row = 0; row < s.side; ++row)
-            for (int column = 0; column < s.side; column += LANES) {
+        for (int row = body.top; row < body.bottom; ++row, picked += wide)
+            for (int column = body.left; column < body.right; column += LANES) {
                 const bool in = row >= box.top && row < box.bottom && column >= box.left && column < box.right;
-                const int k = row * s.side + column;
-                put(to + k, in ? r.scale[i] * floats_at(picture + k) : (floats)0.0f);
+                put(picked + column - body.left,
+                    in ? r.scale[i] * floats_at(picture + row * s.side + column) : (floats)0.0f);
             }
     }
-    to += (s.unknowns - count) * s.pixels;
+    to += s.unknowns * s.pixels;
     for (int i = 0; i < count; ++i) {
         to[i] = (float)r.precision[i];
         to[s.unknowns + i] = (float)(r.value[i] - r.mean[i]);
@@ -429,20 +444,21 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
     for (int m = 0; m < lit; ++m) to[m] = (float)r.plane[m];
 }
 
-// given_mean, given_precision (unknowns), or `every` of them a pose. marks: 1 where a pixel is known from below alone,
+// given_mean, given_precision (unknowns), or `every` of them a pose; given_start (N, unknowns) if `started`. marks: 1 where a pixel is known from below alone,
 // added to twice the number of a piece that may be a star's; stars (n_stars, 5): of each its number, rows and columns.
 // spreads (N, 4): of each pose its first component, how many they are, its first tap, and which of the drawn ones it
 // is. own (N, 2): C tau^2, width of the point spread.
-// out (N, 4): log evidence, chi2 of the body, log det, squared deviation; values (N, planes) what `combined` takes.
+// out (N, 4): log evidence, chi2 of the body, log det, squared deviation; coefficients (N, planes) what `combined`
+// takes; values (N, unknowns) where they ended.
 __kernel void evidence(
     __global const float *planes, const int poses, __global const float *offset, __global const float *given_mean,
-    __global const float *given_precision, const int every, __global const float *data, __global const uchar *marks,
-    __global const float *slopes, __global const float *bumps, __global const float *weights,
+    __global const float *given_precision, const int every, __global const float *given_start, const int started,
+    __global const float *data, __global const uchar *marks, __global const float *slopes, __global const float *bumps, __global const float *weights,
     __global const int *radii, __global const float *taps, __global const int *stars, const int groups, const int side,
     const int n_planes, const int speckle, const int shifts, const int rounds, const int length, const int n_stars,
     const float sigma2, const float photon, const float hidden, const float area, const float edge2, const float gain,
     const float star, __global const int *spreads, __global const float *own, __global float *out,
-    __global float *coefficients, __global float *details, __global float *memory, const ulong each,
+    __global float *coefficients, __global float *values, __global float *details, __global float *memory, const ulong each,
     volatile __global int *next)
 {
     const int more = (speckle ? HERMITE : 0) + (shifts ? 2 * BUMPS : 0), pixels = side * side;
@@ -458,8 +474,8 @@ __kernel void evidence(
         s.width = own[2 * pose + 1];
         Box body;
         const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * pixels, offset,
-            given_mean + (size_t)pose * every, given_precision + (size_t)pose * every, data, weights + spread[0],
-            radii + spread[0], taps + spread[2], groups, &body);
+            given_mean + (size_t)pose * every, given_precision + (size_t)pose * every,
+            started ? given_start + (size_t)pose * s.unknowns : 0, data, weights + spread[0], radii + spread[0], taps + spread[2], groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
         float gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         bool sound = true, still = false;
@@ -489,6 +505,7 @@ __kernel void evidence(
             drawn[p < groups ? p : p + 1] = bright * exp(offset[p] + given_mean[(size_t)pose * every + p]);
         for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + 1] = r.scale[m];
         drawn[groups] = bright * (float)r.value[lit + 1] - hidden * (float)r.value[lit + 2];
+        tell_values(s, r, lit, given_mean + (size_t)pose * every, values + (size_t)pose * s.unknowns);
         if (details)
             tell(s, r, lit, count, body, details + pose * told_size(s));
     }

@@ -95,25 +95,32 @@ static void draw_from_camera(const Body body, const Sizes sizes, const Room room
     }
 }
 
-// Adds sixteen samples to the planes of their groups and to their groups' lobes of gloss. `pixel` is the first plane's
-// row.
+// Adds sixteen samples to the planes of their groups and to their groups' lobes of gloss; neighbours of one group and
+// pixel at once. `pixel` is the first plane's row.
 static void add_to_planes(const Body body, const Sizes sizes, const Room room, const int column, const ints face,
     const floats shown, const floats lit, __global float *pixel)
 {
-    const int pixels = sizes.side * sizes.side;
+    const int pixels = sizes.side * sizes.side, count = min(LANES, sizes.fine - column);
     int number[LANES];
     float bright[LANES], reach[LANES];
     vstore16(face, 0, number);
     vstore16(shown, 0, bright);
     vstore16(lit, 0, reach);
-    for (int k = 0; k < min(LANES, sizes.fine - column); ++k) {
-        if (number[k] < 0 || bright[k] == 0.0f) continue;   // turned away from the Sun, or in shadow: no gloss either
-        __global float *to = pixel + (column + k) / sizes.supersample;
-        const int group = body.group[number[k]];
-        to[group * pixels] += bright[k];
-        for (int g = 0; g < sizes.n_gloss; ++g)
-            to[(group + sizes.n_groups * (1 + g) + 1) * pixels] += reach[k] * room.gloss[g * body.padded + number[k]];
-    }
+    __global float *to = pixel + column / sizes.supersample;
+    for (int k = 0, end = sizes.supersample - column % sizes.supersample; k < count; ++to, end += sizes.supersample)
+        while (k < min(end, count)) {
+            if (number[k] < 0 || bright[k] == 0.0f) { ++k; continue; }  // away from the Sun, or in shadow: no gloss
+            const int first = k, group = body.group[number[k]];
+            float sum = 0.0f;
+            for (; k < min(end, count) && number[k] >= 0 && body.group[number[k]] == group; ++k) sum += bright[k];
+            to[group * pixels] += sum;
+            for (int g = 0; g < sizes.n_gloss; ++g) {
+                __global const float *gloss = room.gloss + g * body.padded;
+                float shine = 0.0f;
+                for (int j = first; j < k; ++j) shine += bright[j] == 0.0f ? 0.0f : reach[j] * gloss[number[j]];
+                to[(group + sizes.n_groups * (1 + g) + 1) * pixels] += shine;
+            }
+        }
 }
 
 // One pose, into zeros. With `share`, the weights of the planes: their sum into the first picture, and into a second,

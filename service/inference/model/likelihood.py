@@ -52,6 +52,14 @@ class Terms:
     star: float
     speckle: bool
     shifts: bool
+    start: Images | None = None  # (N, U) where the unknowns of N poses begin; None: at ``mean``, the gain as fits best
+
+    def begun(self, values: Images) -> Terms:
+        """The same, to begin where unknowns (N, U') of other terms ended; shifts they lack begin at zero."""
+        start = np.zeros((len(values), self.mean.shape[-1]), np.float32)
+        count = min(start.shape[1], values.shape[1])
+        start[:, :count] = values[:, :count]
+        return replace(self, start=start)
 
 
 def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
@@ -99,11 +107,13 @@ class Fit:
     log_evidence: float
     chi2: float  # mean square of residual over its scale, on the body
     coefficients: Images  # (Q,) of the drawing's planes: what ``combined`` draws the same light with
+    values: Images  # (U,) of all unknowns, in the order of ``Terms``; of planes that show no light their prior means
     residual: Images  # (S, S)
     weight: Images  # (S, S) precision of a pixel, over A
     model: Images  # (S, S) what the frame should look like after its low pass
     light: Images  # (S, S) the body's part of it
-    columns: Images  # (M, S, S) derivatives of the model by the unknowns
+    window: tuple[slice, slice]  # rows and columns beyond which no pose near by changes anything
+    columns: Images  # (M, rows, columns) derivatives of the model by the unknowns, in the window
     precision: Array  # (M,) of the priors
     deviation: Array  # (M,) of the unknowns from their prior means
     normal: Array  # (M, M) curvature of the log posterior by the unknowns
@@ -151,7 +161,9 @@ def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS)
     coefficients[positive] = gain * np.exp(terms.offset + terms.mean[: len(positive)])
     coefficients[positive[lit]] = gain * np.exp(terms.offset[lit] + unknowns.value[: len(lit)])
     coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
-    return replace(fit, planes=planes, coefficients=coefficients, lit=lit)
+    values = terms.mean.copy()
+    values[unknowns.kept] = unknowns.value
+    return replace(fit, planes=planes, coefficients=coefficients, values=values, lit=lit)
 
 
 class _Unknowns:
@@ -160,14 +172,17 @@ class _Unknowns:
     def __init__(self, terms: Terms, positive: Images, even: Images, lit: NDArray[np.intp]) -> None:
         self._terms, self._positive, self._even = terms, positive, even
         first = len(terms.offset)
-        kept = np.concatenate([lit, np.arange(first, len(terms.mean))])
+        self.kept = kept = np.concatenate([lit, np.arange(first, len(terms.mean))])
         self._mean = terms.mean[kept].astype(np.float64)
         self._precision = terms.precision[kept].astype(np.float64)
         self._offset = terms.offset[lit].astype(np.float64)
         self._n = len(lit)
         self.value = self._mean.copy()
         self.gained = 0.0  # nats that stars explain
-        self._start_gain()
+        if terms.start is None:
+            self._start_gain()
+        else:
+            self.value = terms.start[0, kept].astype(np.float64)
 
     def _whole(self, shares: Array, even: float) -> Images:
         """The body's light at a gain of one."""
@@ -238,7 +253,8 @@ class _Unknowns:
         body = light**2 > terms.noise / terms.area
         chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0
         nothing, unlit = np.empty(0, np.float32), np.empty(0, np.intp)
-        maps = residual, weight, model, light, columns
+        everywhere = slice(0, len(residual)), slice(0, len(residual))
+        maps = nothing, residual, weight, model, light, everywhere, columns
         pull = flat @ (weight * residual).ravel().astype(np.float64) - self._precision * deviation
         curvature = normal + np.diag(self._precision)
         return Fit(nothing, evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull, unlit)

@@ -63,11 +63,11 @@ def systems_of(
 def _system(
     hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32], known: Array | None
 ) -> tuple[Array, Array, Array]:
-    flat = slopes.reshape(len(slopes), -1)
-    weighted = flat * fit.weight.ravel()
+    flat = slopes[:, *fit.window].reshape(len(slopes), -1)
+    weighted = flat * fit.weight[fit.window].ravel()
     normal = (weighted @ flat.T).astype(np.float64)
-    pull = (weighted @ fit.residual.ravel()).astype(np.float64)
-    cross = (fit.columns.reshape(len(fit.columns), -1) @ weighted.T).astype(np.float64)
+    pull = (weighted @ fit.residual[fit.window].ravel()).astype(np.float64)
+    cross = (fit.columns.reshape(len(fit.columns), weighted.shape[1]) @ weighted.T).astype(np.float64)
     prior = np.zeros_like(normal)
     _add_prior(hill, prior, pull, pose, sun)
     inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))

@@ -25,7 +25,6 @@ ENOUGH = 0.1  # nats: a step that gains less is the last
 _ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
 _TRIAL_STEPS = 2  # that any pose may take
 _SHORTER = 0.3  # of a step that did not climb
-_DETAILS = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull", "lit")
 
 
 def ascend(
@@ -105,7 +104,8 @@ class _Climb:
     def _try(self, at: NDArray[np.intp], moves: Array) -> None:
         """Go where it is higher."""
         poses, suns = _moved(self._poses[at], self._suns[at], moves, self._hill)
-        fits, scores = _look(self._hill, poses, suns, self._believed, at)
+        ended = np.stack([self._fits[k].values for k in at])
+        fits, scores = _look(self._hill, poses, suns, self._believed, at, ended)
         better = np.flatnonzero(scores > self._scores[at])
         there = at[better]
         self._poses = _replaced(self._poses, there, poses[better])
@@ -155,17 +155,29 @@ def _inverse(curvature: Array) -> Array:
 
 
 def _look(
-    hill: Hill, poses: Poses, suns: Array, believed: Believed | None = None, at: NDArray[np.intp] | None = None
+    hill: Hill,
+    poses: Poses,
+    suns: Array,
+    believed: Believed | None = None,
+    at: NDArray[np.intp] | None = None,
+    ended: Images | None = None,
 ) -> tuple[list[Fit], Array]:
-    """The light of each pose, and its log posterior; ``at``: their numbers among what is believed."""
+    """The light of each pose, and its log posterior; ``at``: their numbers among what is believed.
+
+    ``ended``: unknowns of the light of poses near by, to begin with.
+    """
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
     terms = terms_of(hill.scene, hill.drawing.n_groups, planes.shape[1])
     if believed is not None and at is not None:
         terms = painted(terms, believed.paint[at])
+    if ended is not None:
+        terms = terms.begun(ended)
     found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, hill.rounds)
     fits = [
-        Fit(p, float(e), float(x), c, *(getattr(more, name) for name in _DETAILS))
-        for p, e, x, c, more in zip(planes, found.log_evidence, found.chi2, found.coefficients, details, strict=True)
+        Fit(p, float(e), float(x), c, v, **vars(more))
+        for p, e, x, c, v, more in zip(
+            planes, found.log_evidence, found.chi2, found.coefficients, found.values, details, strict=True
+        )
     ]
     before = np.zeros(len(poses))
     if believed is not None and at is not None:

@@ -46,8 +46,13 @@ class Hill:
         found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms, self.rounds)
         return np.asarray(found.log_evidence, np.float64)
 
-    def log_evidences_under(self, planes: Images, ways: Sequence[tuple[Scene, Array | None]]) -> Array:
-        """(W, N) the same under several scenes of one patch and low pass at once, each with its paint or None."""
+    def log_evidences_under(
+        self, planes: Images, ways: Sequence[tuple[Scene, Array | None]], ended: Images | None = None
+    ) -> Array:
+        """(W, N) the same under several scenes of one patch and low pass at once, each with its paint or None.
+
+        ``ended`` (N, U): unknowns of the same poses under another scene, to begin with.
+        """
         count, groups, out = len(planes), self.drawing.n_groups, np.empty((len(ways), len(planes)))
         terms = [terms_of(scene, groups, planes.shape[1]) for scene, _ in ways]
         terms = [
@@ -56,6 +61,8 @@ class Hill:
         for shifts in {one.shifts for one in terms}:  # which are no unknowns in calm air
             at = [k for k, one in enumerate(terms) if one.shifts == shifts]
             each = [terms[k] for k in at for _ in range(count)]
+            if ended is not None:
+                each = [one.begun(ended[k % count][None]) for k, one in enumerate(each)]
             found = self.drawing.light.evidence(planes, groups, each, self.rounds, [*range(count)] * len(at))
             out[at] = found.log_evidence.reshape(len(at), count)
         return out

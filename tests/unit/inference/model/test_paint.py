@@ -1,6 +1,6 @@
 """What a mode learns of its body's paint: from frames made with known albedos, and what it then expects."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -29,9 +29,9 @@ def fitted(turn: float, seed: int, gain: float = 700.0, known: np.ndarray | None
     terms = terms_of(given, lit_body().n_groups, drawn.shape[1])
     terms = terms if known is None else paint.painted(terms, known[None])
     answers, details = lit_body().light.details(drawn, lit_body().n_groups, terms, 6)
-    names = ("residual", "weight", "model", "light", "columns", "precision", "deviation", "normal", "pull", "lit")
-    parts = (getattr(details[0], name) for name in names)
-    return Fit(drawn[0], float(answers.log_evidence[0]), float(answers.chi2[0]), answers.coefficients[0], *parts)
+    parts = (getattr(details[0], field.name) for field in fields(details[0]))
+    ended = answers.coefficients[0], answers.values[0]
+    return Fit(drawn[0], float(answers.log_evidence[0]), float(answers.chi2[0]), *ended, *parts)
 
 
 def followed(n: int) -> np.ndarray:
@@ -93,7 +93,7 @@ def test_information_adds_up_as_the_fading_memory_says_and_wears_off():
         after = (precision * expected + frame * value) / total
         normal = np.diag([total, 1.0])
         nothing = np.empty(0, np.float32)
-        light = (nothing, 0.0, 1.0, *[nothing] * 6)
+        light = (nothing, 0.0, 1.0, *[nothing] * 6, (slice(0), slice(0)), nothing)
         fit = Fit(*light, np.array([precision, 1.0]), np.array([after - expected, 0.0]), normal, nothing, np.array([0]))
         mean = (known[0, 0] * before + frame * value) / (before + frame)
         known = paint.learnt(fit, known)
