@@ -9,16 +9,20 @@ from scipy.sparse.csgraph import connected_components
 
 from gpu.mesh import Mesh
 
+FEWEST, MOST = 32, 64  # groups, where no number is asked for
+ALONE = 0.97  # of the area that should have paint of its own: what shares one is told as discrepancy
 _SAME_POINT = 1e-5  # of the body's radius: vertices nearer than about this are one
 
 
-def surface_groups(mesh: Mesh, most: int = 32) -> NDArray[np.int32]:
+def surface_groups(mesh: Mesh, most: int | None = None) -> NDArray[np.int32]:
     """(F,) number of the group that each face belongs to, at most ``most`` groups, the largest in area first.
+
+    ``most`` None: as many, 32 to 64, as it takes for pieces with a group of their own to have 0.97 of the area.
 
     A group is a connected piece of one part, all its sides: one paint. Where there are more pieces than groups, the
     small ones of a part go together, and where there are more parts than that allows, those of all parts.
     """
-    if most < 1:
+    if most is not None and most < 1:
         raise ValueError(f"at least one group is needed, not {most}")
     _, pieces = merged_pieces(mesh)
     area = face_areas(mesh)
@@ -27,6 +31,9 @@ def surface_groups(mesh: Mesh, most: int = 32) -> NDArray[np.int32]:
     piece_part = np.zeros(n_pieces, np.int64)
     piece_part[pieces] = mesh.part_of
     label = np.arange(n_pieces)
+    if most is None:
+        held = np.cumsum(np.sort(piece_area)[::-1])
+        most = min(max(int(np.searchsorted(held, ALONE * held[-1])) + 1 + len(mesh.parts), FEWEST), MOST)
     if n_pieces > most:
         label = _joined(piece_area, piece_part, most)
     group = label[pieces]

@@ -16,7 +16,6 @@ from service.inference.model.stages import Body
 
 ROUGH_GROUPS, ROUGH_RADIUS_PX = 12, 12.0
 MIDDLE_GROUPS, MIDDLE_RADIUS_PX = 20, 24.0
-FINE_GROUPS = 32
 """Numerical: surfaces with an albedo of their own, and how finely meshes are kept, at each of a search's stages."""
 
 
@@ -30,7 +29,7 @@ class LitBody:
             opening.callback(light.close)
             rough = _drawing(mesh, articulation, light, ROUGH_GROUPS, ROUGH_RADIUS_PX, opening)
             middle = _drawing(mesh, articulation, light, MIDDLE_GROUPS, MIDDLE_RADIUS_PX, opening)
-            fine = _drawing(mesh, articulation, light, FINE_GROUPS, None, opening)
+            fine = _drawing(mesh, articulation, light, None, None, opening)
             self.body = Body(rough, middle, fine)
             self._held = opening.pop_all()
 
@@ -49,7 +48,7 @@ def _drawing(
     mesh: Mesh,
     articulation: Articulation,
     light: LightEvidence,
-    most: int,
+    most: int | None,
     radius_px: float | None,
     held: ExitStack,
 ) -> Drawing:

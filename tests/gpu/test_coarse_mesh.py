@@ -47,6 +47,16 @@ def test_there_are_at_most_so_many_groups_and_the_rest_keep_to_their_part(most):
     assert np.array_equal(groups, surface_groups(mesh, most))
 
 
+@pytest.mark.parametrize(("large", "small", "wanted"), [(2, 100, 32), (40, 100, 40), (100, 100, 64), (3, 0, 3)])
+def test_pieces_that_have_nearly_all_of_the_area_are_groups_of_their_own(large, small, wanted):
+    boxes = [box((1.0,) * 3, (4.0 * k, 0, 0)) for k in range(large)]
+    boxes += [box((0.01,) * 3, (4.0 * k, 5, 0)) for k in range(small)]
+    groups = surface_groups(mesh_of(joined(*boxes)))
+    assert groups.max() + 1 == wanted
+    alone = np.bincount(groups, minlength=wanted) == 12
+    assert alone.sum() >= wanted - 1 and len(set(groups[: 12 * min(large, 31)])) == min(large, 31)
+
+
 def test_no_groups_are_refused():
     with pytest.raises(ValueError, match="at least one"):
         surface_groups(mesh_of(box()), 0)

@@ -24,6 +24,7 @@ from service.inference.state import Array, Poses
 ENOUGH = 0.1  # nats: a step that gains less is the last
 _ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
 _TRIAL_STEPS = 2  # that any pose may take
+_AFRESH = 3  # times a climb's rounds, from the prior: a light that is still settling looks like a gain of every step
 _SHORTER = 0.3  # of a step that did not climb
 
 
@@ -172,7 +173,8 @@ def _look(
         terms = painted(terms, believed.paint[at])
     if ended is not None:
         terms = terms.begun(ended)
-    found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, hill.rounds)
+    rounds = hill.rounds if ended is not None else _AFRESH * hill.rounds
+    found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, rounds)
     fits = [
         Fit(p, float(e), float(x), c, v, **vars(more))
         for p, e, x, c, v, more in zip(
