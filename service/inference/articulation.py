@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.pose import rotation_matrices
 from service.inference.state import Array, Poses
@@ -55,6 +56,13 @@ class Articulation:
     def n_joints(self) -> int:
         """Number of joints, J."""
         return len(self.joints)
+
+    @property
+    def wrapping(self) -> NDArray[np.bool_]:
+        """(J,) joints that turn all the way round."""
+        return np.array(
+            [joint.kind == "revolute" and joint.maximum - joint.minimum >= 360 for joint in self.joints], bool
+        )
 
     @property
     def initial(self) -> Array:

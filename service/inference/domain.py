@@ -78,7 +78,7 @@ class Domain:
     @property
     def wrapping(self) -> NDArray[np.bool_]:
         """(J,) joints that turn all the way round."""
-        return np.array([j.kind == "revolute" and j.maximum - j.minimum >= 360 for j in self.articulation.joints], bool)
+        return self.articulation.wrapping
 
     def contains(self, poses: Poses) -> NDArray[np.bool_]:
         """(N,) which poses lie within the bounds of each coordinate."""

@@ -16,7 +16,6 @@ from service.inference.model.nuisance import Nuisance, log_prior, neighbour, sce
 from service.inference.model.search import Found
 from service.inference.motion import MotionNoise
 from service.inference.numerics.hill import Hill, Refined
-from service.inference.pose import angle_between
 from service.inference.state import Array, Mixture
 
 MOST_MODES = 6
@@ -57,7 +56,7 @@ def weigh(
         afresh = looks[0]
         alone = lead.alone + afresh - lead.one.fit.log_evidence
         level = lead.log_weight - prior.EVIDENCE_TRUST * alone
-    new = newborn(refined, found)
+    new = newborn(refined, found, given.domain.wrapping)
     modes += [born(one, level, len(new), noise, given.domain) for one in new]
     lead_number = int(np.argmax([mode.log_weight for mode in modes]))
     best = modes[lead_number]
@@ -149,17 +148,18 @@ def hypotheses(
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
 
 
-def newborn(refined: list[Refined], found: Found | None) -> list[Refined]:
+def newborn(refined: list[Refined], found: Found | None, wrapping: NDArray[np.bool_]) -> list[Refined]:
     """Basins of a search that no mode holds already."""
     if found is None:
         return []
-    return [one for one in found.basins[:MOST_MODES] if not any(same_mode(one, other) for other in refined)]
+    some = found.basins[:MOST_MODES]
+    return [one for one in some if not any(same_mode(one, other, wrapping) for other in refined)]
 
 
-def same_mode(one: Refined, other: Refined) -> bool:
-    """Whether two modes are one."""
-    if float(np.rad2deg(angle_between(one.pose.quaternion, other.pose.quaternion)[0])) > _SAME_DEG:
+def same_mode(one: Refined, other: Refined, wrapping: NDArray[np.bool_]) -> bool:
+    """Whether two modes are one; ``wrapping`` (J,): joints that turn all the way round."""
+    apart = np.abs(tangent(one.pose, other.pose, wrapping)[0])
+    if float(np.linalg.norm(apart[:3])) > np.deg2rad(_SAME_DEG):
         return False
-    apart = (one.pose.joints - other.pose.joints)[0]
     wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
-    return bool(np.all(np.abs(apart) <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))
+    return bool(np.all(apart[6:] <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))

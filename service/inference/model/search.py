@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.inference.estimate import tangent
 from service.inference.model import bank as banks
 from service.inference.model.candidates import (
     HOPELESS,
@@ -39,7 +40,7 @@ from service.inference.model.templates import Bank, directions
 from service.inference.numerics.gauss_newton import ascend, within
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import angle_between, concatenate, retract
+from service.inference.pose import concatenate, retract
 from service.inference.state import Poses
 
 BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, three times at the most
@@ -125,10 +126,11 @@ def search(
 
 def is_among(body: Body, one: Candidates, others: Candidates) -> bool:
     """Whether a pose is another look at one of these: where it points, and its joints."""
-    near = np.rad2deg(angle_between(others.poses.quaternion, one.poses.quaternion)) < SHARED_DEG
-    spans = np.array([joint.maximum - joint.minimum for joint in body.fine.articulation.joints])
-    apart = np.abs(others.poses.joints - one.poses.joints) > _SAME_JOINT * spans
-    return bool(np.any(near & ~apart.any(axis=1)))
+    articulation = body.fine.articulation
+    spans = np.array([joint.maximum - joint.minimum for joint in articulation.joints])
+    apart = np.abs(tangent(one.poses, others.poses, articulation.wrapping))
+    near = np.linalg.norm(apart[:, :3], axis=1) < np.deg2rad(SHARED_DEG)
+    return bool(np.any(near & np.all(apart[:, 6:] <= _SAME_JOINT * spans, axis=1)))
 
 
 def started(

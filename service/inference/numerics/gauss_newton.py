@@ -225,11 +225,10 @@ def _moved(poses: Poses, suns: Array, moves: Array, hill: Hill) -> tuple[Poses, 
 
 def within(drawing: Drawing, joints: Array) -> Array:
     """(N, J) values brought back into their range: those that turn all the way wrap, others stop."""
-    values = joints.copy()
+    values, wrapping = joints.copy(), drawing.articulation.wrapping
     for k, joint in enumerate(drawing.articulation.joints):
-        span = joint.maximum - joint.minimum
-        if joint.kind == "revolute" and span >= 359.0:
-            values[:, k] = (values[:, k] - joint.minimum) % span + joint.minimum
+        if wrapping[k]:
+            values[:, k] = (values[:, k] - joint.minimum) % 360.0 + joint.minimum
         else:
             values[:, k] = np.clip(values[:, k], joint.minimum, joint.maximum)
     return values
