@@ -57,6 +57,7 @@ async def test_what_is_refused_when_the_session_is_begun(api):
     model_id = (await api.model()).json()["model_id"]
     for sections in (
         {"prior": {"orbit": "hello"}, "camera": SITE},
+        {"prior": {"orbit": TLE.replace("482", "483")}, "camera": SITE},  # its checksum
         {"prior": {"orbit": TLE}},
         {"prior": {"unit_m": 0.0}},
     ):
