@@ -95,3 +95,12 @@ def test_the_citation_is_of_this_release() -> None:
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert f'version = "{cited["version"]}"' in (ROOT / "pyproject.toml").read_text()
     assert {"cff-version", "message", "title", "authors"} <= set(cited)
+
+
+def test_figures_have_a_date() -> None:
+    """A section of the benchmarks with a table of figures says when they were measured."""
+    text = prose((ROOT / "docs" / "benchmarks.md").read_text())
+    sections = re.split(r"^##+ ", text, flags=re.M)[1:]
+    figures = [one for one in sections if len(re.findall(r"^\|.*\| *[\d.,]+ *\|", one, flags=re.M)) > 2]
+    assert len(figures) > 8
+    assert [one.splitlines()[0] for one in figures if not re.search(r"\b20\d\d-\d\d-\d\d\b", one)] == []
