@@ -16,6 +16,7 @@ from typing import Any
 
 import erfa
 import numpy as np
+from defusedxml.ElementTree import fromstring
 from sgp4 import omm
 from sgp4.api import SGP4_ERRORS, Satrec
 from sgp4.earth_gravity import wgs72
@@ -155,8 +156,7 @@ def _read(text: str) -> Any:
         fields = json.loads(text)
         return _from_omm(fields[0] if isinstance(fields, list) and fields else fields)
     if text.startswith("<"):
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise ValueError("document types and entities are not read")
+        fromstring(text, forbid_dtd=True)  # refuses document types and entities, which the next would take
         return _from_omm(next(omm.parse_xml(io.StringIO(text)), {}))
     lines = _tle(text)
     if lines:

@@ -145,6 +145,7 @@ def test_a_checksum_that_is_wrong_names_its_line_and_the_digit():
         ("hello", "neither a TLE .* nor an OMM"),
         ("CREATION_DATE = 2026", "the OMM has no EPOCH, MEAN_MOTION"),
         ("<ndm></ndm>", "the OMM has no EPOCH"),
+        ('<!DOCTYPE ndm [<!ENTITY a "b">]><ndm>&a;</ndm>', "DTDForbidden"),
         ("[]", "an OMM as JSON is an object"),
     ],
 )
