@@ -56,6 +56,22 @@ def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessi
     assert findings(page) == []
 
 
+@pytest.mark.parametrize("width", [1440, 1280, 820, 390])
+def test_the_frames_tools_are_one_line_and_the_plots_legend_is_whole(server, sessions, open_page, width):
+    page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=900)
+    shows(page, FRAMES - 1)
+    tools = [page.locator(f"#frame .tools {one}").bounding_box() for one in ("label >> nth=0", ".save", ".video")]
+    middles = [box["y"] + box["height"] / 2 for box in tools]
+    assert max(middles) - min(middles) < 3
+    legend = page.locator("#session > .legend")
+    plot = page.locator(".strip .u-over").first
+    plot.scroll_into_view_if_needed()
+    plot.hover()
+    expect(page.locator("#pointed")).to_contain_text("frame")
+    assert legend.evaluate("(one) => one.scrollWidth - one.clientWidth") == 0
+    assert legend.is_visible()
+
+
 def overflow(page) -> int:
     """Pixels that the page is wider than its screen."""
     return page.evaluate("() => document.documentElement.scrollWidth - document.documentElement.clientWidth")
