@@ -15,6 +15,7 @@ _OLD_DAYS = 14.0  # elements of a low orbit are kilometres off by then
 _ASIDE_DEG = 0.5  # beside the field of view: mounts are seldom worse
 _FIELD_DEG = 0.5  # half of it, where the pixel scale is not known
 _AT_THE_END = 0.8  # of the tolerance that a scale was sought in: it would have gone on
+_DRAWN = 0.5  # the same of what does not fit: so far only light that is none of this size draws a scale
 _OUT_OF_SIGHT = ("no_target", "lost")  # any other status has a size; one far off is often why nothing fits
 
 
@@ -36,7 +37,7 @@ def warnings_of(
             found.append(f"the camera points {apart:.1f}° away from where the orbit puts the object")
     if ranged.scale_px is not None and ranged.bounds_px is not None and estimate.status not in _OUT_OF_SIGHT:
         share, allowed = estimate.best.scale / ranged.scale_px - 1, ranged.bounds_px[1] / ranged.scale_px - 1
-        if abs(share) > _AT_THE_END * allowed:
+        if abs(share) > (_DRAWN if estimate.status == "no_fit" else _AT_THE_END) * allowed:
             size = "larger" if share > 0 else "smaller"
             found.append(
                 f"the body is {abs(share):.0%} {size} than range, pixel scale and the model's unit say, or more"

@@ -114,7 +114,10 @@ async def test_a_size_that_does_not_agree_is_told(make_app, anyio_backend, statu
     async with running(make_app(Sized)) as api:
         session_id = await api.ready_session(camera=CAMERA, prior={"orbit": TLE, "unit_m": 2.0})
         assert (await api.post(session_id, 0, time=HIGH)).json()["warnings"] == []
+        Sized.times = 1.06  # within what was told, but for what does not fit
+        near = (await api.post(session_id, 1, time=HIGH)).json()["warnings"]
+        assert bool(near) == (status == "no_fit")
         Sized.times = 1.5
-        told = (await api.post(session_id, 1, time=HIGH)).json()["warnings"]
+        told = (await api.post(session_id, 2, time=HIGH)).json()["warnings"]
     expected = ["the body is 50% larger than range, pixel scale and the model's unit say, or more"]
     assert told == ([] if status == "lost" else expected)
