@@ -15,7 +15,7 @@ _OLD_DAYS = 14.0  # elements of a low orbit are kilometres off by then
 _ASIDE_DEG = 0.5  # beside the field of view: mounts are seldom worse
 _FIELD_DEG = 0.5  # half of it, where the pixel scale is not known
 _AT_THE_END = 0.8  # of the tolerance that a scale was sought in: it would have gone on
-_DRAWN = 0.5  # the same of what does not fit: so far only light that is none of this size draws a scale
+_DRAWN = 0.5  # the same of what does not fit: mirrored bodies of the right size stay within 0.4
 _OUT_OF_SIGHT = ("no_target", "lost")  # any other status has a size; one far off is often why nothing fits
 
 
