@@ -57,7 +57,7 @@ def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessi
 
 
 @pytest.mark.parametrize("width", [1440, 1280, 820, 390])
-def test_the_frames_tools_are_one_line_and_the_plots_legend_is_whole(server, sessions, open_page, width):
+def test_the_frames_tools_are_one_line_and_nothing_is_cut(server, sessions, open_page, width):
     page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=900)
     shows(page, FRAMES - 1)
     tools = [page.locator(f"#frame .tools {one}").bounding_box() for one in ("label >> nth=0", ".save", ".video")]
@@ -70,6 +70,9 @@ def test_the_frames_tools_are_one_line_and_the_plots_legend_is_whole(server, ses
     expect(page.locator("#pointed")).to_contain_text("frame")
     assert legend.evaluate("(one) => one.scrollWidth - one.clientWidth") == 0
     assert legend.is_visible()
+    page.keyboard.press("d")
+    cut = page.locator("#readout dd").evaluate_all("(all) => all.filter((one) => one.scrollWidth > one.clientWidth)")
+    assert cut == []
 
 
 def overflow(page) -> int:
