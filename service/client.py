@@ -29,6 +29,7 @@ from service.remote.calls import Arrays, Call, Image
 from service.remote.connection import Connection
 from service.remote.errors import ClientError, RefusedError, UnexpectedError
 from service.remote.events import Cursor, Event
+from service.remote.media import frames_in
 from service.remote.options import FrameFacts, Region, Sections, StreamKind, http_options
 from service.remote.retries import Retries
 
@@ -145,6 +146,20 @@ class Client:
     ) -> schemas.Estimate:
         """Track frame ``index``, exactly once: also across restarts of this program."""
         return self.call(calls.frame(session_id, image, media_type, index, None, facts))
+
+    def track(
+        self, mesh: Path | str, frames: Path | str, *, name: str | None = None, **sections: Unpack[Sections]
+    ) -> Iterator[schemas.Estimate]:
+        """A pass in one call: a new session of ``mesh``, and every image and video of a folder, by name.
+
+        Estimates come as they are made, and name the session. The sky is learned from the frames. Raises
+        ``FileNotFoundError`` for a folder without images.
+        """
+        images = frames_in(Path(frames))
+        sections.setdefault("background", "auto")
+        session = self.create_session(self.upload_model(Path(mesh)).model_id, name=name, **sections)
+        for path in images:
+            yield from self.track_file(session.session_id, path)
 
     def track_file(
         self,

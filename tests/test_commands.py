@@ -1,6 +1,6 @@
 """Every command of the documents is one that can be typed: its program, files, options and values are there.
 
-Those that are short are run as well: tests/e2e (README, tutorial, client, folders, examples).
+Those that take seconds are run as well: tests/e2e (documented commands, README, tutorial, client, folders, examples).
 """
 
 import json

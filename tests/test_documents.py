@@ -14,6 +14,7 @@ from service.inference.params import SessionConfig
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 ROOMS = ("", "service", "service/inference", "service/inference/model", "docs", "docs/examples", "tests", "deploy")
+DATE = r"\b20\d\d-\d\d-\d\d\b"
 MOST_COLUMNS, MOST_README_LINES = 120, 120
 
 
@@ -95,3 +96,14 @@ def test_the_citation_is_of_this_release() -> None:
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert f'version = "{cited["version"]}"' in (ROOT / "pyproject.toml").read_text()
     assert {"cff-version", "message", "title", "authors"} <= set(cited)
+
+
+def test_figures_have_a_date() -> None:
+    """A section of the benchmarks with a table of figures says when they were measured; so do other measurements."""
+    text = prose((ROOT / "docs" / "benchmarks.md").read_text())
+    sections = re.split(r"^##+ ", text, flags=re.M)[1:]
+    figures = [one for one in sections if len(re.findall(r"^\|.*\| *[\d.,]+ *\|", one, flags=re.M)) > 2]
+    assert len(figures) > 8
+    for name in ("scale", "trust", "cluster", "engines"):
+        assert re.search(DATE, (ROOT / "docs" / f"{name}.md").read_text()), name
+    assert [one.splitlines()[0] for one in figures if not re.search(DATE, one)] == []

@@ -54,7 +54,7 @@ ROOMS: dict[str, set[str]] = {
 PACKAGES: dict[str, set[str]] = {
     "service.inference": {"numpy", "scipy", "cv2"},
     "service.imaging": {"numpy", "scipy", "cv2", "astropy"},
-    "service.attitude": {"numpy", "astropy_iers_data", "erfa", "sgp4"},
+    "service.attitude": {"numpy", "astropy_iers_data", "erfa", "sgp4", "defusedxml"},
     "service.exports": {"numpy"},
     "service.report": {"numpy", "cv2", "jinja2", "markupsafe"},
     "gpu": {"numpy", "scipy", "pyopencl", "moderngl", "trimesh", "collada", "fast_simplification", "defusedxml"},

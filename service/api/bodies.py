@@ -13,7 +13,7 @@ from service.access.peers import BODY_SHA256, FORWARDED
 from service.access.principal import LOCAL, Principal
 from service.api.auth import PRINCIPAL
 from service.api.digest import sha256
-from service.api.problems import problem_response
+from service.api.problems import near, problem_response
 from service.api.services import Services, services_of
 from service.errors import (
     ConfigError,
@@ -145,8 +145,8 @@ async def read_json(request: Request, kind: type[M]) -> M:
         return kind.model_validate(data, strict=True)
     except ValidationError as error:
         found = [
-            {"field": ".".join(map(str, item["loc"])) or "body", "message": item["msg"]}
-            for item in error.errors(include_url=False, include_context=False, include_input=False)
+            {"field": ".".join(map(str, item["loc"])) or "body", "message": item["msg"] + near(item, n, kind)}
+            for n, item in enumerate(error.errors(include_url=False, include_context=False, include_input=False))
         ]
         detail = f"{found[0]['field']}: {found[0]['message']}"
         raise ConfigError(detail, field=found[0]["field"], errors=found) from error

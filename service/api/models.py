@@ -17,6 +17,7 @@ from service.api.paging import page_limit, problems, stored_page
 from service.api.services import ServicesDep
 from service.errors import InputError, JointError, UnsupportedMediaTypeError
 from service.sessions.library import Upload
+from service.sessions.near import did_you_mean
 
 router = APIRouter(prefix="/v1/models", tags=["models"])
 FILE_TYPES = ("glb", "obj", "stl", "ply", "urdf")
@@ -29,34 +30,23 @@ _MEDIA_TYPES = {
     "model/ply": "ply",
     "application/urdf+xml": "urdf",
 }
-_UPLOAD = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            "multipart/form-data": {
-                "schema": {
-                    "type": "object",
-                    "required": ["file"],
-                    "additionalProperties": False,
-                    "properties": {
-                        "file": {"type": "string", "format": "binary", "description": "GLB, OBJ, STL, PLY or URDF"},
-                        "meshes": {
-                            "type": "array",
-                            "maxItems": MAX_MESHES,
-                            "items": {"type": "string", "format": "binary"},
-                            "description": "The mesh files that a URDF file names, by the last part of their names",
-                        },
-                        "joints": {
-                            "type": "string",
-                            "description": "JSON array; replaces the file's own, or only ties them",
-                        },
-                        "name": {"type": "string", "maxLength": 200},
-                    },
-                }
-            }
+_FORM: dict[str, Any] = {
+    "type": "object",
+    "required": ["file"],
+    "additionalProperties": False,
+    "properties": {
+        "file": {"type": "string", "format": "binary", "description": "GLB, OBJ, STL, PLY or URDF"},
+        "meshes": {
+            "type": "array",
+            "maxItems": MAX_MESHES,
+            "items": {"type": "string", "format": "binary"},
+            "description": "The mesh files that a URDF file names, by the last part of their names",
         },
-    }
+        "joints": {"type": "string", "description": "JSON array; replaces the file's own, or only ties them"},
+        "name": {"type": "string", "maxLength": 200},
+    },
 }
+_UPLOAD = {"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": _FORM}}}}
 
 
 @router.post(
@@ -122,9 +112,8 @@ async def _read_upload(request: Request) -> Upload:
             "the body must be multipart/form-data", field="header:Content-Type", supported=["multipart/form-data"]
         )
     async with request.form(max_files=1 + MAX_MESHES, max_fields=4) as form:
-        unknown = set(form) - {"file", "meshes", "joints", "name"}
-        if unknown:
-            raise InputError(f"unknown field {sorted(unknown)[0]!r}", field=sorted(unknown)[0])
+        for unknown in sorted(set(form) - set(_FORM["properties"])):
+            raise InputError(f"unknown field {unknown!r}{did_you_mean((), unknown, _FORM)}", field=unknown)
         file, joints, name = form.get("file"), form.get("joints"), form.get("name")
         if not isinstance(file, UploadFile):
             raise InputError("a file is required", field="file")

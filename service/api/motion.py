@@ -18,7 +18,7 @@ class Vector(Wire):
 
 
 class MotionProbabilities(Wire):
-    """Of the hypotheses; they sum to 1."""
+    """Of the laws of motion; they sum to 1."""
 
     constant_rate: float
     tumbling: float

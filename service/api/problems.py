@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import orjson
 import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from fastapi.routing import APIRoute
+from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from service.errors import BusyError, InputError, SkyposeError, UnauthorizedError
+from service.sessions.near import MOST, did_you_mean
 
 log = structlog.get_logger(__name__)
 MEDIA_TYPE = "application/problem+json"
@@ -77,10 +82,34 @@ async def _on_skypose_error(request: Request, error: Exception) -> Response:
 
 async def _on_invalid_request(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    found = [{"field": _field(item["loc"]), "message": str(item["msg"])} for item in error.errors()]
+    queries = _queries(request)
+    found = [
+        {"field": _field(item["loc"]), "message": str(item["msg"]) + "".join(near(item, n, kind) for kind in queries)}
+        for n, item in enumerate(error.errors())
+    ]
     first = found[0]
     detail = f"{first['field']}: {first['message']}"
     return await _on_skypose_error(request, InputError(detail, field=first["field"], errors=found))
+
+
+def near(item: Mapping[str, Any], number: int, kind: type[BaseModel]) -> str:
+    """What to add to pydantic's fault ``number`` where ``kind`` has no such field: see ``did_you_mean``."""
+    if item["type"] != "extra_forbidden" or number >= MOST:
+        return ""
+    *where, name = (str(part) for part in item["loc"] if part != "query")
+    return did_you_mean(where, name, _schema(kind))
+
+
+@cache
+def _schema(kind: type[BaseModel]) -> dict[str, Any]:
+    return kind.model_json_schema()
+
+
+def _queries(request: Request) -> list[type[BaseModel]]:
+    """The models of what a route takes after its `?`; none of one that takes plain parameters."""
+    route = request.scope.get("route")
+    found = [one.field_info.annotation for one in route.dependant.query_params] if isinstance(route, APIRoute) else []
+    return [one for one in found if isinstance(one, type) and issubclass(one, BaseModel)]
 
 
 async def _on_http_exception(request: Request, error: Exception) -> Response:

@@ -16,10 +16,11 @@ from typing import Any
 
 import erfa
 import numpy as np
+from defusedxml.ElementTree import fromstring
 from sgp4 import omm
 from sgp4.api import SGP4_ERRORS, Satrec
 from sgp4.earth_gravity import wgs72
-from sgp4.io import twoline2rv
+from sgp4.io import compute_checksum, twoline2rv
 
 from service.attitude.camera import Site
 from service.attitude.earth import EarthOrientation, earth_orientation, gcrf_to_itrf, zenith_frame
@@ -41,6 +42,16 @@ _TLE_FIELDS = {
     ),
 }
 """Numbers of a TLE, columns counted from 1."""
+_OMM_FIELDS = (
+    "EPOCH",
+    "MEAN_MOTION",
+    "ECCENTRICITY",
+    "INCLINATION",
+    "RA_OF_ASC_NODE",
+    "ARG_OF_PERICENTER",
+    "MEAN_ANOMALY",
+)
+"""That it must have; the others have defaults."""
 _OMM_DEFAULTS = {
     "CLASSIFICATION_TYPE": "U",
     "OBJECT_ID": "",
@@ -74,8 +85,7 @@ class Orbit:
         try:
             self._satellite = _read(text.strip())
         except (KeyError, ValueError, TypeError, IndexError, AttributeError, SyntaxError) as error:
-            detail = str(error) if str(error).startswith(("TLE", "a TLE")) else f"{type(error).__name__}: {error}"
-            raise ConfigError(f"neither a TLE nor an OMM could be read: {detail}", field="prior.orbit") from error
+            raise _unreadable(str(error)) from error
         if self._satellite.error:
             raise ConfigError(_reason(self._satellite.error), field="prior.orbit")
         epoch_days = self._satellite.jdsatepoch - _JD_EPOCH + self._satellite.jdsatepochF
@@ -108,6 +118,24 @@ class Orbit:
         return np.asarray(_greenwich(unix_days + ut1_utc_s / _DAY_S) @ np.array(teme_km))
 
 
+def check_sums(text: str) -> None:
+    """The checksums of a TLE, modulo 10 of its digits and minus signs, where its lines have one (column 69).
+
+    Raises ``ConfigError`` for a mistyped line. Not of ``Orbit``: a session that an earlier release began goes on.
+    """
+    for line in _tle(text.strip()):
+        told, expected = line[68:69], compute_checksum(line)
+        if told.isdigit() and int(told) != expected:
+            raise _unreadable(
+                f"TLE line {line[0]}, checksum (column 69): {told!r}, but the line's digits make {expected}: "
+                "one of them is mistyped"
+            )
+
+
+def _unreadable(why: str) -> ConfigError:
+    return ConfigError(f"the orbit cannot be read: {why}", field="prior.orbit")
+
+
 def _reason(problem: int) -> str:
     return str(SGP4_ERRORS.get(problem, f"SGP4 error {problem}"))
 
@@ -126,18 +154,25 @@ def _site_km(site: Site) -> Array:
 def _read(text: str) -> Any:
     if text.startswith(("{", "[")):
         fields = json.loads(text)
-        return _from_omm(fields[0] if isinstance(fields, list) else fields)
+        return _from_omm(fields[0] if isinstance(fields, list) and fields else fields)
     if text.startswith("<"):
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise ValueError("document types and entities are not read")
+        fromstring(text, forbid_dtd=True)  # refuses document types and entities, which the next would take
         return _from_omm(next(omm.parse_xml(io.StringIO(text)), {}))
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    if lines and len(lines) <= 3 and any(line.startswith(("1 ", "2 ")) for line in lines):
+    lines = _tle(text)
+    if lines:
         _check_tle(lines)
         twoline2rv(lines[-2], lines[-1], wgs72)  # it checks the columns; the faster reader takes anything
         return Satrec.twoline2rv(lines[-2], lines[-1])
-    pairs = (line.partition("=") for line in lines if "=" in line)
+    pairs = [line.partition("=") for line in text.splitlines() if "=" in line]
+    if not pairs:
+        raise ValueError("it is neither a TLE (lines that begin with 1 and with 2) nor an OMM (JSON, XML or KVN)")
     return _from_omm({key.strip(): value.split("[")[0].strip() for key, _, value in pairs})
+
+
+def _tle(text: str) -> list[str]:
+    """The lines of what looks like a TLE: two, or three with a name; else none."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines if len(lines) <= 3 and any(line.startswith(("1 ", "2 ")) for line in lines) else []
 
 
 def _check_tle(lines: Sequence[str]) -> None:
@@ -155,7 +190,12 @@ def _check_tle(lines: Sequence[str]) -> None:
         raise ValueError(f"TLE lines 1 and 2 are of two objects, {lines[-2][2:7]} and {lines[-1][2:7]}")
 
 
-def _from_omm(fields: Mapping[str, Any]) -> Any:
+def _from_omm(fields: Any) -> Any:
+    if not isinstance(fields, Mapping):
+        raise ValueError("an OMM as JSON is an object of fields, or a list with one")
+    missing = [name for name in _OMM_FIELDS if fields.get(name) in (None, "")]
+    if missing:
+        raise ValueError(f"the OMM has no {', '.join(missing)}")
     theory = fields.get("MEAN_ELEMENT_THEORY") or "SGP4"
     if theory not in ("SGP4", "SGP"):
         raise ValueError(f"elements of the theory {theory!r} are not SGP4's")

@@ -62,14 +62,12 @@ def camera_orientation(pointing: Pointing, mount: Mount, moment: datetime) -> Ca
 
     Raises ``InputError`` for an azimuth without an elevation or a site, and for half of an equatorial position.
     """
-    _require_pair(pointing.ra_deg, pointing.dec_deg, "ra_deg", "dec_deg")
-    _require_pair(pointing.azimuth_deg, pointing.elevation_deg, "az_deg", "el_deg")
     mirrored = mount.mirrored if pointing.mirrored is None else pointing.mirrored
     scale = mount.pixel_scale_deg if pointing.pixel_scale_deg is None else pointing.pixel_scale_deg
-    turned = _sky_axes(pointing, mount, moment)
-    forward = _forward(pointing, mount, moment, turned)
+    forward = boresight(pointing, mount, moment)
     if forward is None:
         return None
+    turned = _sky_axes(pointing, mount, moment)
     if pointing.position_angle_deg is not None:
         pole, angle_deg, local = turned @ CELESTIAL_POLE, pointing.position_angle_deg, False
     elif mount.up_angle_deg is None:
@@ -83,18 +81,21 @@ def camera_orientation(pointing: Pointing, mount: Mount, moment: datetime) -> Ca
     return CameraOrientation(axes, mirrored, scale, earth, mount.pinhole)
 
 
+def boresight(pointing: Pointing, mount: Mount, moment: datetime) -> Array | None:
+    """(3,) GCRF unit vector of the direction that was told, or None. Raises ``InputError``."""
+    _require_pair(pointing.ra_deg, pointing.dec_deg, "ra_deg", "dec_deg")
+    _require_pair(pointing.azimuth_deg, pointing.elevation_deg, "az_deg", "el_deg")
+    if pointing.azimuth_deg is not None and pointing.elevation_deg is not None:
+        return horizontal_direction(pointing.azimuth_deg, pointing.elevation_deg, _site(mount), moment)
+    if pointing.ra_deg is not None and pointing.dec_deg is not None:
+        return _sky_axes(pointing, mount, moment) @ direction(pointing.ra_deg, pointing.dec_deg)
+    return None
+
+
 def _sky_axes(pointing: Pointing, mount: Mount, moment: datetime) -> Array:
     """(3, 3) from the equator and equinox that coordinates refer to, to GCRF."""
     equinox = pointing.equinox or mount.equinox
     return of_date_to_gcrf(moment) if equinox == "date" else np.eye(3)
-
-
-def _forward(pointing: Pointing, mount: Mount, moment: datetime, turned: Array) -> Array | None:
-    if pointing.azimuth_deg is not None and pointing.elevation_deg is not None:
-        return horizontal_direction(pointing.azimuth_deg, pointing.elevation_deg, _site(mount), moment)
-    if pointing.ra_deg is not None and pointing.dec_deg is not None:
-        return turned @ direction(pointing.ra_deg, pointing.dec_deg)
-    return None
 
 
 def _site(mount: Mount) -> Site:

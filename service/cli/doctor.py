@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 def doctor(
+    data: Annotated[Path | None, typer.Option("--data", help="Data directory.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Check packages, OpenCL devices, the decode sandbox and the data directory. Exits 1 where tracking cannot run."""
@@ -23,9 +24,9 @@ def doctor(
 
     from service.settings import Settings
 
-    settings = Settings()
+    settings = Settings() if data is None else Settings(data_dir=data)
     report: dict[str, Any] = {"python": sys.version.split()[0], "data_dir": str(settings.data_dir)}
-    report["storage"] = _storage(settings.data_dir)
+    report["storage"] = _storage(settings)
     try:
         report["sandbox"] = _sandbox(settings)
         report["worker"] = _describe()
@@ -48,8 +49,9 @@ def _lines(report: Mapping[str, Any], data_dir: Path) -> Iterator[str]:
     versions = report.get("worker", {}).get("versions", {})
     yield f"skypose {versions.get('skypose', '?')}, Python {report['python']}"
     storage = report["storage"]
-    writable = "can be written" if storage["error"] is None else f"CANNOT BE WRITTEN ({storage['error']})"
-    yield f"data directory {data_dir.absolute()}: {writable}, {storage['free_bytes'] / 2**30:.1f} GiB free"
+    usable = "can be written" if storage["error"] is None else f"CANNOT BE USED ({storage['error']})"
+    free = f"{storage['free_bytes'] / 2**30:.1f} GiB free (at least {storage['min_free_bytes'] / 2**30:.2f})"
+    yield f"data directory {data_dir.absolute()}: {usable}, {free}"
     for device in report.get("worker", {}).get("devices", ()):
         why = f", not used: {device['rejected']}" if device["rejected"] else ""
         yield f"OpenCL {device['kind']}: {device['name']} ({device['platform']} {device['driver']}){why}"
@@ -64,18 +66,25 @@ def _lines(report: Mapping[str, Any], data_dir: Path) -> Iterator[str]:
     yield "tracking can run" if report["ok"] else f"tracking CANNOT run: {report['error']}"
 
 
-def _storage(data_dir: Path) -> dict[str, Any]:
-    """Free bytes where the data directory is or would be, and why a file cannot be written there; None: it can."""
-    from service.store.disk import free_bytes
+def _storage(settings: Settings) -> dict[str, Any]:
+    """Free bytes where the data directory is or would be, and why nothing can be stored there; None: it can.
 
-    held = next(folder for folder in (data_dir.absolute(), *data_dir.absolute().parents) if folder.exists())
-    error = None
+    With PostgreSQL the frames are not on this disk, and a full one is no error.
+    """
+    from service.sessions.status import too_full
+    from service.settings import MEBIBYTE
+    from service.store.disk import Room, free_bytes
+
+    folder, least = settings.data_dir.absolute(), settings.min_free_mb * MEBIBYTE
+    held = next(one for one in (folder, *folder.parents) if one.exists())
+    free = free_bytes(held)
+    error = None if settings.database_url.get_secret_value() else too_full(Room(0, free), least)
     try:
         with TemporaryDirectory(dir=held) as made:
             (Path(made) / "written").write_bytes(b"skypose")
     except OSError as refused:
         error = refused.strerror or str(refused)
-    return {"free_bytes": free_bytes(held), "error": error}
+    return {"free_bytes": free, "min_free_bytes": least, "error": error}
 
 
 def _sandbox(settings: Settings) -> dict[str, Any]:

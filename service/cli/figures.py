@@ -21,7 +21,7 @@ _POSE = ("rx, deg", "ry, deg", "rz, deg", "x, px", "y, px", "scale, %")
 
 
 def orientation_figure(estimate: Estimate, particles: Arrays) -> Figure:
-    """Where the body's axes point, on a map of equal areas (Mollweide): dots are particles, crosses the best pose.
+    """Where the body's axes point, on a map of equal areas (Mollweide): dots are particles, rings the best pose.
 
     In GCRF (right ascension to the left) where the camera's orientation is known, else in the camera's axes.
     """
@@ -34,16 +34,30 @@ def orientation_figure(estimate: Estimate, particles: Arrays) -> Figure:
     side = 1.0 if known is None else -1.0  # the sky is seen from within
     for k, (name, colour) in enumerate(_AXES.items()):
         size = 2 + 200 * particles["weights"]
-        panel.scatter(
-            *_on_map(cloud[:, :, k], side), s=size, color=colour, alpha=0.25, linewidths=0, label=f"body {name}"
+        panel.scatter(*_on_map(cloud[:, :, k], side), s=size, color=colour, alpha=0.25, linewidths=0)
+        longitude, latitude = _on_map(best[None, :, k], side)
+        ring = {"markersize": 20, "markeredgewidth": 1.6, "markerfacecolor": "none"}  # what it is about stays in sight
+        panel.plot(longitude, latitude, "o", color=colour, **ring)
+        panel.annotate(
+            name,
+            (longitude[0], latitude[0]),
+            (13, 7),
+            textcoords="offset points",
+            color=colour,
+            fontsize=15,
+            weight="bold",
         )
-        panel.plot(*_on_map(best[None, :, k], side), "+", color=colour, markersize=14, markeredgewidth=2)
     panel.grid(linewidth=0.4)
+    panel.set_yticks(np.deg2rad(np.arange(-60, 61, 30)))
+    panel.tick_params(labelsize=8, labelcolor="#555555")
     if known is not None:
         panel.set_xticks(np.deg2rad(np.arange(-120, 121, 60)), [f"{-hours % 24} h" for hours in range(-8, 9, 4)])
     frame = "camera (x right, y down, z away: centre is x)" if known is None else "GCRF"
-    panel.set_title(f"frame {estimate.index}, {estimate.status}: body axes in {frame}", fontsize=10)
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, markerscale=3)
+    spread = f"± {estimate.spread.orientation_deg:.2g}°"
+    panel.set_title(
+        f"frame {estimate.index}, {estimate.status}, {spread}: the body's axes in {frame}", fontsize=11, pad=14
+    )
+    figure.supxlabel("rings: the best pose; dots: particles", fontsize=10)
     return figure
 
 

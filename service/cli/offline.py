@@ -28,6 +28,7 @@ from service.inference.articulation import hold
 from service.inference.state import Poses
 from service.remote.calls import get_bytes
 from service.remote.options import FrameFacts
+from service.report.page import counted
 from service.simulate.compare import silhouette
 
 _CONFLICT = 409
@@ -81,6 +82,7 @@ class OfflinePass:
             console.print(f"[yellow]{warning}[/yellow]")
         names: list[str] = []
         statuses: list[str] = []
+        warnings: list[str] = []
         rows: dict[int, SheetRow] = {}
         began = time.perf_counter()
         with _progress(console) as progress, (self.out / "estimates.jsonl").open("w") as lines:
@@ -89,10 +91,13 @@ class OfflinePass:
                 lines.write(estimate.model_dump_json(exclude_unset=True) + "\n")
                 names.append(name)
                 statuses.append(estimate.status)
+                warnings += estimate.warnings
                 if estimate.index + 1 in SHOWN_FRAMES:
                     rows[estimate.index] = self._sheet_row(client, session, estimate)
                 progress.update(task, advance=1, status=estimate.status)
         seconds = time.perf_counter() - began
+        for warning in counted(warnings):
+            console.print(f"[yellow]{warning}[/yellow]")
         if len(names) - 1 not in rows:
             rows[len(names) - 1] = self._sheet_row(client, session, client.estimate(session.session_id))
         sheet = contact_sheet(f"{self.model.name}: {self.frames.path}", list(rows.values()))

@@ -18,6 +18,7 @@ from service.remote import calls
 from service.remote.aio import AsyncConnection
 from service.remote.calls import Arrays, Call, Image
 from service.remote.events import Cursor, Event
+from service.remote.media import frames_in
 from service.remote.options import FrameFacts, Region, Sections, StreamKind, http_options
 from service.remote.retries import Retries
 
@@ -137,6 +138,22 @@ class AsyncClient:
     ) -> schemas.Estimate:
         """Track frame ``index``, exactly once: also across restarts of this program."""
         return await self.call(await asyncio.to_thread(calls.frame, session_id, image, media_type, index, None, facts))
+
+    async def track(
+        self, mesh: Path | str, frames: Path | str, *, name: str | None = None, **sections: Unpack[Sections]
+    ) -> AsyncGenerator[schemas.Estimate]:
+        """A pass in one call: a new session of ``mesh``, and every image and video of a folder, by name.
+
+        Estimates come as they are made, and name the session. The sky is learned from the frames. Raises
+        ``FileNotFoundError`` for a folder without images.
+        """
+        images = await asyncio.to_thread(frames_in, Path(frames))
+        sections.setdefault("background", "auto")
+        session = await self.create_session((await self.upload_model(Path(mesh))).model_id, name=name, **sections)
+        for path in images:
+            async with aclosing(self.track_file(session.session_id, path)) as estimates:
+                async for estimate in estimates:
+                    yield estimate
 
     def track_file(
         self,

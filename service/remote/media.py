@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import PurePath
+from pathlib import Path, PurePath
 
 IMAGES = {
     ".png": "image/png",
@@ -33,3 +33,11 @@ def media_type_of(name: str) -> str | None:
         path = path.with_suffix("")
         return MEDIA_TYPES.get(path.suffix) if path.suffix in (".fits", ".fit", ".fts") else None
     return MEDIA_TYPES.get(path.suffix)
+
+
+def frames_in(folder: Path) -> list[Path]:
+    """Images and videos of a folder in the order of their names. Raises ``FileNotFoundError`` where there is none."""
+    found = sorted(path for path in folder.iterdir() if path.is_file() and media_type_of(path.name) is not None)
+    if not found:
+        raise FileNotFoundError(f"no image or video in {folder}")
+    return found

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,11 +64,18 @@ def evenly(count: int, most: int) -> list[int]:
     return [round(k * (count - 1) / (most - 1)) for k in range(most)]
 
 
+def counted(texts: Iterable[str]) -> list[str]:
+    """Of texts that differ in numbers only the first, with how many there were of its kind."""
+    kinds: dict[str, list[str]] = {}
+    for text in texts:
+        kinds.setdefault(re.sub(r"\d+(\.\d+)?", "0", text), []).append(text)
+    return [f"{alike[0]} ({len(alike)} frames)" if len(alike) > 1 else alike[0] for alike in kinds.values()]
+
+
 def _said(facts: Facts) -> list[str]:
-    """Warnings of all frames, each once, with how many it came with."""
-    counts = Counter(text for estimate in facts.estimates for text in estimate["warnings"])
+    """Warnings of all frames, each kind once, with how many it came with."""
     out = [*facts.session["warnings"], *(facts.motion["warnings"] if facts.motion else ())]
-    out += [f"{text} ({count} frames)" if count > 1 else text for text, count in counts.items()]
+    out += counted(text for estimate in facts.estimates for text in estimate["warnings"])
     assumed = Counter(text for estimate in facts.estimates for text in estimate["assumed"])
     names = {"background": "the sky was learnt from around the object", "time": "frames brought no time of their own"}
     out += [f"assumed: {names.get(name, name)} ({count} frames)" for name, count in assumed.items()]

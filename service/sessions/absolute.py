@@ -11,7 +11,7 @@ import numpy as np
 
 from service.attitude.absolute import absolute_quaternion, body_rate, camera_rate, covariance_in_gcrf
 from service.attitude.camera import Site, towards
-from service.attitude.pointing import CameraOrientation, Mount, Pointing, camera_orientation
+from service.attitude.pointing import CameraOrientation, Mount, Pointing, boresight, camera_orientation
 from service.errors import InputError
 from service.imaging.facts import FrameFacts
 from service.inference.params import CameraParams
@@ -34,6 +34,14 @@ class View:
     def quaternion(self) -> Array:
         """(4,) camera -> GCRF."""
         return from_matrices(self.camera.to_gcrf)
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Where the camera looks, known without its rotation."""
+
+    axis: Array  # (3,) GCRF unit vector
+    field_deg: float | None  # from the middle of the image to its corner; None: the pixel scale is not known
 
 
 def mount_of(params: CameraParams) -> Mount:
@@ -85,6 +93,15 @@ def view_of(
     if camera.earth is not None and not time_known:
         raise InputError("azimuth, elevation and an altaz mount need the frame's time", field="query:time")
     return View(camera, (size[0] / 2, size[1] / 2))
+
+
+def aim_of(pointing: Pointing, mount: Mount, moment: datetime, size: tuple[int, int]) -> Aim | None:
+    """Where the camera looks, or None where nobody told. ``size`` as of ``view_of``. Raises ``InputError``."""
+    axis = boresight(pointing, mount, moment)
+    if axis is None:
+        return None
+    scale = mount.pixel_scale_deg if pointing.pixel_scale_deg is None else pointing.pixel_scale_deg
+    return Aim(axis, None if scale is None else scale * float(np.hypot(*size)) / 2)
 
 
 def rate_since(before: Array, now: Array, dt_s: float) -> Array | None:

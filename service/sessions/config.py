@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from difflib import get_close_matches
+from functools import cache
 from typing import Any
 
 import orjson
@@ -14,6 +13,7 @@ from pydantic_core import ErrorDetails
 from service.errors import ConfigError
 from service.inference.articulation import Articulation
 from service.inference.params import SessionConfig, preset_defaults
+from service.sessions.near import MOST, did_you_mean
 
 RETIRED: Mapping[str, tuple[str, ...]] = {
     "filter": (
@@ -131,8 +131,8 @@ def _preset(sections: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
 
 def _config_error(error: ValidationError) -> ConfigError:
     found = [
-        {"field": _field(item), "message": item["msg"] + _near(item)}
-        for item in error.errors(include_url=False, include_input=False)
+        {"field": _field(item), "message": item["msg"] + (_near(item) if n < MOST else "")}
+        for n, item in enumerate(error.errors(include_url=False, include_input=False))
     ]
     first = found[0]["field"]
     said = dict.fromkeys(item["message"] for item in found if item["field"] == first)  # one for each type it may have
@@ -140,16 +140,15 @@ def _config_error(error: ValidationError) -> ConfigError:
 
 
 def _near(item: ErrorDetails) -> str:
-    """For a name that there is not: one like it that there is."""
     if item["type"] not in ("unexpected_keyword_argument", "extra_forbidden"):
         return ""
     *path, name = (str(part) for part in item["loc"])
-    kind: Any = SessionConfig
-    for part in path:
-        kind = next((one.default_factory for one in fields(kind) if one.name == part), None)
-    known = [one.name for one in fields(kind)] if is_dataclass(kind) else []
-    near = get_close_matches(name, known, 1)
-    return f"; did you mean `{near[0]}`?" if near else ""
+    return did_you_mean(path, name, _schema())
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    return CONFIG.json_schema()
 
 
 def _field(item: ErrorDetails) -> str:

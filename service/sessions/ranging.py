@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from service.attitude.orbit import Orbit, Sighting
+from service.attitude.orbit import Orbit, Sighting, check_sums
 from service.errors import InputError
 from service.imaging.facts import FrameFacts
 from service.inference.params import PriorParams, SessionConfig
@@ -43,6 +43,13 @@ class Ranged:
                 "ut1_utc_s": earth.ut1_utc_s,
             },
         }
+
+
+def require_orbit(config: SessionConfig) -> None:
+    """Refuse a new session whose orbit cannot be read, or was mistyped. Raises ``ConfigError``."""
+    Ranging(config)
+    if config.prior.orbit is not None:
+        check_sums(config.prior.orbit)
 
 
 class Ranging:

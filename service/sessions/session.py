@@ -16,7 +16,7 @@ from service.errors import NoBackgroundError, StaleOwnerError
 from service.imaging.facts import NOTHING, FrameFacts
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
-from service.sessions.absolute import View
+from service.sessions.absolute import Aim, View
 from service.sessions.consistency import warnings_of
 from service.sessions.contenders import Contender, leader, ranking, stored
 from service.sessions.document import as_duplicate, estimate_document
@@ -72,6 +72,7 @@ class Known:
 
     moment: FrameTime
     view: View | None
+    aim: Aim | None
     ranged: Ranged | None
     lit: Lit
 
@@ -156,8 +157,9 @@ class Session:
     def _known(self, frame: FrameIn, facts: FrameFacts, moment: FrameTime) -> Known:
         """The camera at this frame and how it turned since the frame before, the object's range, the light."""
         view = self._pointings.view(self.record, frame, facts, moment)
+        aim = self._pointings.aim(self.record, frame, facts, moment)
         ranged = self._ranging.at(moment, facts)
-        return Known(moment, view, ranged, light_at(self._config, frame.query, moment, view, ranged))
+        return Known(moment, view, aim, ranged, light_at(self._config, frame.query, moment, view, ranged))
 
     async def _track(self, frame: FrameIn, background: str, known: Known) -> tuple[Contenders, PackedFrameReport]:
         """The frame under every model, one job after the other; the report of the most probable."""
@@ -238,7 +240,7 @@ class Session:
         models = ranking(contenders) if len(contenders) > 1 else None
         orbit = None if ranged is None else ranged.document()
         session_id, index, text = public_id(self.record.id), self.record.next_index, format_time(utc)
-        odd = warnings_of(report.estimate, utc, self._ranging.site, view, ranged)
+        odd = warnings_of(report.estimate, utc, self._ranging.site, known.aim, ranged)
         assumed = assumed_of(self.record, frame)
         return estimate_document(session_id, index, text, names, report, view, models, orbit, known.lit, assumed, odd)
 

@@ -59,16 +59,9 @@ class Status:
     async def _try_write(self) -> str | None:
         try:
             await self._database.write(probe.write)
-            return self.too_full(await self._database.room())
+            return too_full(await self._database.room(), self._min_free_bytes)
         except StorageError as error:
             return error.detail
-
-    def too_full(self, room: Room) -> str | None:
-        """What to say of a disk with too little left; None of one with enough, or one that is not this machine's."""
-        if room.free is None or room.free >= self._min_free_bytes:
-            return None
-        free, wanted = room.free >> 20, self._min_free_bytes >> 20
-        return f"the disk is full: {free} MiB are free, SKYPOSE_MIN_FREE_MB asks for {wanted}"
 
     async def worker(self) -> Mapping[str, Any]:
         """Devices, scorer and versions, as a worker sees them."""
@@ -77,3 +70,11 @@ class Status:
     def processes(self) -> list[dict[str, Any]]:
         """The worker processes."""
         return [dict(process) for process in self._engine.transport.processes()]
+
+
+def too_full(room: Room, min_free_bytes: int) -> str | None:
+    """What to say of a disk with too little left; None of one with enough, or one that is not this machine's."""
+    if room.free is None or room.free >= min_free_bytes:
+        return None
+    free, wanted = room.free >> 20, min_free_bytes >> 20
+    return f"the disk is full: {free} MiB are free, SKYPOSE_MIN_FREE_MB asks for {wanted}"

@@ -64,6 +64,29 @@ async def test_a_pass_with_each_client(make_app, tmp_path):
             assert (await client.estimate(session_id)).best == answer.best
 
 
+async def test_a_folder_in_one_call(make_app, tmp_path):
+    (tmp_path / "cube.glb").write_bytes(CUBE + b"joint")
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    np.save(folder / "b.npy", np.random.default_rng(0).integers(0, 255, (2, 16, 16), dtype=np.uint8))
+    (folder / "a.png").write_bytes(image(1))
+    (folder / "truth.csv").write_text("frame")
+
+    def sync(url: str) -> list[int]:
+        with Client(url) as client:
+            told = list(client.track(str(tmp_path / "cube.glb"), str(folder), name="evening", joints={"free": "all"}))
+            assert client.session(told[0].session_id).name == "evening"
+            with pytest.raises(FileNotFoundError, match="no image"):
+                next(client.track(tmp_path / "cube.glb", tmp_path))
+            return [one.index for one in told]
+
+    async with served(make_app()) as host:
+        assert await asyncio.to_thread(sync, f"http://{host}") == [0, 1, 2]
+        async with AsyncClient(f"http://{host}") as client:
+            told = [one async for one in client.track(tmp_path / "cube.glb", folder)]
+            assert [one.index for one in told] == [0, 1, 2] and told[0].best.joints == {}
+
+
 @pytest.mark.parametrize("over", ["websocket", "sse"])
 async def test_the_key_goes_with_every_call_and_stream(make_app, tmp_path, over):
     async with guarded_server(make_app, tmp_path) as callers:

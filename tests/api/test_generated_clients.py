@@ -35,10 +35,3 @@ async def test_a_body_of_any_kind_is_what_it_begins_as(api):
     assert first.status_code == 200 and again.json()["duplicate"] is True
     odd = await api.http.post(f"{url}/frames", content=b"no image at all", headers=octets)
     assert (odd.status_code, odd.json()["type"]) == (415, "urn:skypose:problem:unsupported-media-type")
-
-
-async def test_a_misspelt_field_is_told_with_the_one_that_was_meant(api):
-    model_id = (await api.model()).json()["model_id"]
-    answer = await api.http.post("/v1/sessions", json={"model_id": model_id, "filter": {"partices": 300}})
-    assert (answer.status_code, answer.json()["field"]) == (422, "filter.partices")
-    assert "`particles`" in answer.json()["detail"]

@@ -41,10 +41,12 @@ async def test_a_session_becomes_three_figures(make_app, tmp_path):
     alone |= {"orientation": TURNED, "weights": np.ones(1)}
     here = estimate.model_copy(update={"best": best, "camera": None})
     (panel,) = orientation_figure(here, alone).axes
-    crosses = [
+    rings = [
         (float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in panel.lines if len(line.get_xdata()) == 1
     ]
-    np.testing.assert_allclose(crosses, [(0, 0), (np.pi / 2, 0), (0, np.pi / 2)], atol=1e-12)
+    np.testing.assert_allclose(rings, [(0, 0), (np.pi / 2, 0), (0, np.pi / 2)], atol=1e-12)
+    assert [text.get_text() for text in panel.texts] == ["x", "y", "z"]
+    assert all(line.get_markerfacecolor() == "none" for line in panel.lines[-3:])  # the particles within are seen
     drawn = corner_figure(here, alone).axes[0].patches
     (bar,) = [patch for patch in drawn if patch.get_height()]
     assert bar.get_x() <= 4.0 <= bar.get_x() + bar.get_width()

@@ -1,11 +1,15 @@
 """An orbit with the session: range and age of the data in every estimate, and the scale that the tracker is held to."""
 
+from dataclasses import replace
+from datetime import datetime
+
 import numpy as np
 import pytest
 from api_client import running
 from fake_worker import Recorder
 
 from service.api.schemas import Estimate
+from service.attitude.camera import Site, horizontal_direction
 
 pytestmark = pytest.mark.anyio
 TLE = (
@@ -53,6 +57,7 @@ async def test_what_is_refused_when_the_session_is_begun(api):
     model_id = (await api.model()).json()["model_id"]
     for sections in (
         {"prior": {"orbit": "hello"}, "camera": SITE},
+        {"prior": {"orbit": TLE.replace("482", "483")}, "camera": SITE},  # its checksum
         {"prior": {"orbit": TLE}},
         {"prior": {"unit_m": 0.0}},
     ):
@@ -75,3 +80,44 @@ async def test_what_does_not_agree_is_told(api):
     assert any("elements are 8" in one for one in old)
     plain = await api.ready_session()
     assert (await api.post(plain, 0)).json()["warnings"] == []
+
+
+async def test_a_direction_alone_is_compared_with_the_orbit(api):
+    session_id = await api.ready_session(camera=CAMERA, prior={"orbit": TLE})
+    first = (await api.post(session_id, 0, time=HIGH)).json()
+    orbit, at = first["orbit"], datetime.fromisoformat(HIGH)
+    assert first["warnings"] == [] and first.get("camera") is None
+    sky = {"az_deg": orbit["azimuth_deg"], "el_deg": orbit["elevation_deg"]}
+    site = Site(SITE["site_latitude_deg"], SITE["site_longitude_deg"])
+    x, y, z = horizontal_direction(*sky.values(), site, at)
+    stars = {"ra_deg": float(np.rad2deg(np.arctan2(y, x)) % 360), "dec_deg": float(np.rad2deg(np.arcsin(z)))}
+    for n, (towards, up) in enumerate(((sky, "el_deg"), (stars, "dec_deg"))):
+        there = await api.post(session_id, 1 + 2 * n, time=HIGH, **towards)
+        assert there.json()["warnings"] == []
+        aside = await api.post(session_id, 2 + 2 * n, time=HIGH, **{**towards, up: towards[up] - 3.0})
+        (told,) = aside.json()["warnings"]
+        assert told.startswith("the camera points 3.0° away")
+
+
+@pytest.mark.parametrize("status", ["tracking", "no_fit", "acquiring", "lost"])
+async def test_a_size_that_does_not_agree_is_told(make_app, anyio_backend, status):
+    class Sized(Recorder):
+        """Finds the body where the scale's bounds put it, or half as large again."""
+
+        times = 1.0
+
+        def track(self, job):
+            report, middle = super().track(job), sum(job.scale_px) / 2
+            best = replace(report.estimate.best, scale=middle * self.times)
+            return replace(report, estimate=replace(report.estimate, status=status, best=best))
+
+    async with running(make_app(Sized)) as api:
+        session_id = await api.ready_session(camera=CAMERA, prior={"orbit": TLE, "unit_m": 2.0})
+        assert (await api.post(session_id, 0, time=HIGH)).json()["warnings"] == []
+        Sized.times = 1.06  # within what was told, but for what does not fit
+        near = (await api.post(session_id, 1, time=HIGH)).json()["warnings"]
+        assert bool(near) == (status == "no_fit")
+        Sized.times = 1.5
+        told = (await api.post(session_id, 2, time=HIGH)).json()["warnings"]
+    expected = ["the body is 50% larger than range, pixel scale and the model's unit say, or more"]
+    assert told == ([] if status == "lost" else expected)

@@ -15,8 +15,8 @@ from watching import drop, open_session, shows, stage
 
 AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
 FRAMES = 3
-TLE = """1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9002
-2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10006"""
+TLE = """1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9009
+2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10000"""
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +54,29 @@ def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessi
     page.keyboard.press("?")
     expect(page.get_by_role("dialog", name="Keyboard")).to_be_visible()
     assert findings(page) == []
+
+
+@pytest.mark.parametrize("width", [1440, 1280, 820, 390])
+def test_the_frames_tools_are_one_line_and_nothing_is_cut(server, sessions, open_page, width):
+    page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=900)
+    shows(page, FRAMES - 1)
+    tools = [page.locator(f"#frame .tools {one}").bounding_box() for one in ("label >> nth=0", ".save", ".video")]
+    middles = [box["y"] + box["height"] / 2 for box in tools]
+    assert max(middles) - min(middles) < 3
+    legend = page.locator("#session > .legend")
+    plot = page.locator(".strip .u-over").first
+    plot.scroll_into_view_if_needed()
+    plot.hover()
+    expect(page.locator("#pointed")).to_contain_text("frame")
+    assert legend.evaluate("(one) => one.scrollWidth - one.clientWidth") == 0
+    assert legend.is_visible()
+    page.keyboard.press("d")
+    value = page.locator("#readout dd").first
+    long = "1135.93, 1122.34 ± 10.25 px, 118.31 ± 10.037 px/unit"
+    assert (
+        value.evaluate("(one, text) => { one.textContent = text; return one.scrollWidth - one.clientWidth; }", long)
+        == 0
+    )
 
 
 def overflow(page) -> int:

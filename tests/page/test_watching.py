@@ -14,6 +14,8 @@ from server_process import Server
 from watching import is_live, is_stale, open_session, picture_shows, shown, shows
 
 RATE_HZ, SECONDS = 30, 4
+TLE = """1 25544U 98067A   19343.69339541  .00001764  00000-0  38792-4 0  9991
+2 25544  51.6439 211.2001 0007417  17.6667  85.6398 15.50103472202482"""
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +126,25 @@ def test_a_look_at_the_past_stays_while_the_pass_goes_on(server, http, open_page
     assert shown(page) == 1
     page.keyboard.press("l")
     shows(page, 5)
+
+
+def test_the_warnings_of_a_frame_stay_while_it_is_shown(server, http, open_page):
+    """The list of sessions is asked for every few seconds, and knows of no frame's warnings."""
+    given = fake_pass(1)
+    site = {"site_latitude_deg": 48.23, "site_longitude_deg": 16.34}
+    session_id = begin(http, given, name="body.glb", camera=site, prior={"orbit": TLE})
+    frame, query = f"/v1/sessions/{session_id}/frames/0", {"time": "2020-03-01T00:00:00Z"}
+    told = http.put(frame, content=given.frames[0], headers=PNG, params=query).raise_for_status().json()["warnings"]
+    assert any("days from the frame" in one for one in told)
+    page = open_page(f"{server.url}/#{session_id}")
+    shows(page, 0)
+    expect(page.locator("#warnings li")).to_have_text(told)
+    for _ in range(2):
+        with page.expect_response(re.compile(r"/v1/sessions\?limit=")) as answer:
+            pass
+        answer.value.finished()
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        assert page.locator("#warnings li").all_text_contents() == told
 
 
 def test_a_service_that_goes_while_a_session_is_opened(server, http, open_page):

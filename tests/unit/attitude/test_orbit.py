@@ -12,7 +12,7 @@ from sgp4.api import Satrec
 from sgp4.exporter import export_omm
 
 from service.attitude.camera import Site
-from service.attitude.orbit import Orbit
+from service.attitude.orbit import Orbit, check_sums
 from service.errors import ConfigError, InputError
 
 TLE = (
@@ -120,9 +120,35 @@ def test_a_decayed_orbit_has_no_place():
 )
 def test_a_tle_that_fails_names_its_line_and_field(spoilt, said):
     good = (
-        "1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9002\n"
-        "2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10006"
+        "1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9009\n"
+        "2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10000"
     )
     Orbit(good)
+    check_sums(good)
     with pytest.raises(ConfigError, match=said):
         Orbit(good.replace(*spoilt))
+
+
+def test_a_checksum_that_is_wrong_names_its_line_and_the_digit():
+    check_sums(TLE)
+    check_sums("\n".join(line[:68] for line in TLE.splitlines()[-2:]))  # without any
+    check_sums(json.dumps(fields()))
+    spoilt = TLE.replace("211.2001", "211.2007")
+    Orbit(spoilt)  # of a session that an earlier release began
+    with pytest.raises(ConfigError, match=r"TLE line 2, checksum \(column 69\): '2', but .* make 8"):
+        check_sums(spoilt)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("hello", "neither a TLE .* nor an OMM"),
+        ("CREATION_DATE = 2026", "the OMM has no EPOCH, MEAN_MOTION"),
+        ("<ndm></ndm>", "the OMM has no EPOCH"),
+        ('<!DOCTYPE ndm [<!ENTITY a "b">]><ndm>&a;</ndm>', "DTDForbidden"),
+        ("[]", "an OMM as JSON is an object"),
+    ],
+)
+def test_what_is_missing_is_named(text, said):
+    with pytest.raises(ConfigError, match=said):
+        Orbit(text)

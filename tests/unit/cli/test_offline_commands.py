@@ -115,7 +115,8 @@ TLE = (
 )
 
 
-def test_run_makes_an_attitude_file_of_a_folder_of_fits(tmp_path):
+def test_run_makes_an_attitude_file_of_a_folder_of_fits(tmp_path, monkeypatch):
+    monkeypatch.setattr("service.sessions.consistency._OLD_DAYS", 1.0)
     (tmp_path / "iss.tle").write_text(TLE)
     seen = ["--site", "48.23,16.34,250", "--tle", str(tmp_path / "iss.tle")]
     when = ["--time", "2019-12-11T15:05:00Z", "--up-angle", "25"]
@@ -134,6 +135,7 @@ def test_run_makes_an_attitude_file_of_a_folder_of_fits(tmp_path):
     run = ["run", "--mesh", "demo", "--frames", str(tmp_path / "fits"), "--out", str(out), "--preset", "paper"]
     told = RUNNER.invoke(app, [*run, *seen, "--up-angle", "25", "--particles", "1000", "--smoothed"])
     assert told.exit_code == 0, told.output
+    assert "the orbit's elements are 2 days from the frame (2 frames)" in " ".join(told.output.split())
     with (out / "estimates.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows] == ["0.fits", "1.fits"]

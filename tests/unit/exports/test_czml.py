@@ -53,8 +53,8 @@ def test_a_single_sample_is_a_constant():
     assert len(packet["orientation"][1]["unitQuaternion"]) == 4
 
 
-TLE = """1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9002
-2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10006"""
+TLE = """1 25544U 98067A   26324.50000000  .00016717  00000-0  10270-3 0  9009
+2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10000"""
 
 
 def test_where_the_orbit_is_known_the_packet_has_its_place():

@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime, timedelta
 
-from service.report.page import Facts, report_html
+from service.report.page import Facts, counted, report_html
 
 START = datetime(2026, 11, 20, 3, 4, 5, tzinfo=UTC)
 POSE = {"orientation": dict.fromkeys("wxyz", 0.5), "x_px": 1.0, "y_px": 2.0, "scale_px": 3.0, "joints": {}}
@@ -42,3 +42,8 @@ def test_every_frame_counts_and_a_curve_has_no_more_points_than_can_be_seen():
     assert "5000 tracking" in page
     assert "(5000 frames)" in page
     assert len(page) < 300_000
+
+
+def test_warnings_that_differ_in_numbers_are_told_once():
+    texts = ["the body is 9% smaller", "the camera points 3.0° away", "the body is 12.5% smaller"]
+    assert counted(texts) == ["the body is 9% smaller (2 frames)", "the camera points 3.0° away"]
