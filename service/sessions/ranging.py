@@ -45,11 +45,10 @@ class Ranged:
         }
 
 
-def require_orbit(config: SessionConfig) -> None:
-    """Refuse a new session whose orbit cannot be read, or was mistyped. Raises ``ConfigError``."""
+def orbit_warnings(config: SessionConfig) -> list[str]:
+    """Of a new session's orbit. Raises ``ConfigError`` for one that cannot be read."""
     Ranging(config)
-    if config.prior.orbit is not None:
-        check_sums(config.prior.orbit)
+    return [] if config.prior.orbit is None else check_sums(config.prior.orbit)
 
 
 class Ranging:

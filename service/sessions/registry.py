@@ -19,7 +19,7 @@ from service.sessions.archive import session_document
 from service.sessions.contenders import Contender
 from service.sessions.frame import format_time
 from service.sessions.library import articulation_of
-from service.sessions.ranging import require_orbit
+from service.sessions.ranging import orbit_warnings
 from service.sessions.session import Rooms, Session
 from service.store import checkpoints, instances, models, sessions
 from service.store.base import NO_QUOTAS, Quotas, SessionRecord, SessionStamp, StoredContender
@@ -65,8 +65,10 @@ class Registry:
         """
         sections, left_out = session_config.without_retired(sections)
         config = session_config.effective(sections)
-        await asyncio.to_thread(require_orbit, config)  # now, not with the first frame
-        warnings = [*left_out, *session_config.unused(sections, config)]
+        odd = await asyncio.to_thread(
+            orbit_warnings, config
+        )  # refused now, not with a frame
+        warnings = [*left_out, *session_config.unused(sections, config), *odd]
         keys = [model_key(tenant, model_id) for model_id in model_ids]
         for key in keys:
             model = await self._rooms.database.read(models.get, key)

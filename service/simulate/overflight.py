@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from service.attitude.camera import Site, horizontal_direction
-from service.attitude.orbit import Orbit, Sighting, check_sums
+from service.attitude.orbit import Orbit, Sighting
 from service.attitude.pointing import CameraOrientation, Mount, Pointing, camera_orientation
 from service.attitude.shadow import earthshine, sunlit_share
 from service.attitude.sun import in_camera, phase_angle_deg, sun_from_earth
@@ -61,7 +61,6 @@ def follow(overflight: Overflight, times_s: Sequence[float], light: Light) -> li
 
     Raises ``OverflightError`` where the satellite is below the horizon, ``ConfigError`` for unreadable elements.
     """
-    check_sums(overflight.elements)
     orbit = Orbit(overflight.elements)
     moments = [overflight.start + timedelta(seconds=float(time_s)) for time_s in times_s]
     return [_look(overflight, orbit, moment, light) for moment in moments]

@@ -57,12 +57,20 @@ async def test_what_is_refused_when_the_session_is_begun(api):
     model_id = (await api.model()).json()["model_id"]
     for sections in (
         {"prior": {"orbit": "hello"}, "camera": SITE},
-        {"prior": {"orbit": TLE.replace("482", "483")}, "camera": SITE},  # its checksum
         {"prior": {"orbit": TLE}},
         {"prior": {"unit_m": 0.0}},
     ):
         answer = await api.http.post("/v1/sessions", json={"model_id": model_id, **sections})
         assert (answer.status_code, answer.json()["type"]) == (422, "urn:skypose:problem:invalid-configuration")
+
+
+async def test_a_mistyped_orbit_is_told_when_the_session_is_begun(api):
+    model_id = (await api.model()).json()["model_id"]
+    for orbit, count in ((TLE, 0), (TLE.replace("482", "483"), 1)):
+        sections = {"prior": {"orbit": orbit}, "camera": SITE}
+        made = (await api.http.post("/v1/sessions", json={"model_id": model_id, **sections})).json()
+        said = [one for one in made["warnings"] if "checksum" in one]
+        assert len(said) == count and all("line" in one for one in said)
 
 
 async def test_what_does_not_agree_is_told(api):

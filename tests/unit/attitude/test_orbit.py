@@ -124,19 +124,18 @@ def test_a_tle_that_fails_names_its_line_and_field(spoilt, said):
         "2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49815350 10000"
     )
     Orbit(good)
-    check_sums(good)
+    assert not check_sums(good)
     with pytest.raises(ConfigError, match=said):
         Orbit(good.replace(*spoilt))
 
 
 def test_a_checksum_that_is_wrong_names_its_line_and_the_digit():
-    check_sums(TLE)
-    check_sums("\n".join(line[:68] for line in TLE.splitlines()[-2:]))  # without any
-    check_sums(json.dumps(fields()))
+    for good in (TLE, "\n".join(line[:68] for line in TLE.splitlines()[-2:]), json.dumps(fields())):
+        assert not check_sums(good)
     spoilt = TLE.replace("211.2001", "211.2007")
-    Orbit(spoilt)  # of a session that an earlier release began
-    with pytest.raises(ConfigError, match=r"TLE line 2, checksum \(column 69\): '2', but .* make 8"):
-        check_sums(spoilt)
+    Orbit(spoilt)
+    (said,) = check_sums(spoilt)
+    assert said.startswith("prior.orbit: TLE line 2, checksum (column 69): '2', but the line's digits make 8")
 
 
 @pytest.mark.parametrize(
