@@ -16,6 +16,7 @@ from service.errors import SkyposeError
 from service.inference.state import FilterState
 from service.workers.base import PackedFrameJob, PackedFrameReport, Worker
 from service.workers.codec import decode, encode
+from service.workers.kernel import return_memory
 
 Outcome = Literal["done", "refused", "bug", "broken"]
 
@@ -55,6 +56,7 @@ def serve(channel: Connection, factory: str, arguments: tuple[Any, ...] = ()) ->
     try:
         worker = load_factory(factory)(*arguments)
         gc.freeze()  # what stays for good is never looked at; the imports leave next to no garbage
+        return_memory()  # of the kernels' compiler: twelve megabytes
         gc.enable()
         channel.send_bytes(pickle.dumps(("done", None)))
         ready = True

@@ -15,10 +15,21 @@ WEB_NEEDS_NONE = (
     "pyopencl",
     "moderngl",
     "psycopg",
+    "jinja2",
 )
 
 
-WORKER_NEEDS_NONE = ("trimesh", "collada", "PIL", "astropy", "fastapi", "sqlalchemy", "pydantic", "scipy.stats")
+WORKER_NEEDS_NONE = (
+    "trimesh",
+    "collada",
+    "PIL",
+    "astropy",
+    "fastapi",
+    "sqlalchemy",
+    "pydantic",
+    "scipy.stats",
+    "structlog",
+)
 
 
 def loaded_by(module: str) -> set[str]:
