@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gpu.mesh_file import read_parts
 from gpu.mesh_limits import MeshError
 from gpu.raw_part import RawPart
 from gpu.repair import describe_repair, is_watertight, repair
@@ -95,6 +94,8 @@ def load_mesh(data: bytes, file_type: str) -> Mesh:
     One part per geometry node, in file order, vertices relative to the centre of the bounding box at rest.
     What was repaired is said in ``warnings``. Raises ``MeshError`` for a file that is no usable mesh.
     """
+    from gpu.mesh_file import read_parts  # large libraries, which workers leave to their decode process
+
     return assemble(read_parts(data, file_type))
 
 

@@ -21,7 +21,7 @@ MEBIBYTE = 1 << 20
 class Settings(BaseSettings):
     """Process-wide settings; read once, handed down, never changed."""
 
-    model_config = SettingsConfigDict(env_prefix="SKYPOSE_", frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = SettingsConfigDict(env_prefix="SKYPOSE_", frozen=True, extra="forbid")
 
     host: str = "127.0.0.1"
     """Address to listen on."""

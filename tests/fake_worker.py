@@ -128,6 +128,9 @@ class FakeWorker:
     def motion(self, job: MotionJob) -> PassMotion:
         return motion_of(job, None)
 
+    def wake(self) -> None:
+        """Nothing to begin."""
+
     def describe(self) -> Mapping[str, Any]:
         return {"scorer": "fake"}
 

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model, model_validator
-from pydantic.json_schema import WithJsonSchema
+from pydantic import ConfigDict, Field, create_model, model_validator
 
 from service.api.existence import Fit, Probabilities, RankedModel, Status
 from service.api.rates import Rates
+from service.api.sections import SECTIONS
 from service.api.sky import Attitude, Camera, Light, Orbit
-from service.api.wire import Orientation, Wire
-from service.inference.params import SessionConfig
+from service.api.wire import Described, Orientation, Wire
 
 
-class Problem(BaseModel):
+class Problem(Described):
     """RFC 9457 problem document. Further members say which limit, which setting, what was expected."""
 
-    model_config = ConfigDict(extra="allow", use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="allow")
 
     type: str
     """Stable name of the kind of problem."""
@@ -208,19 +206,6 @@ class Submission(Wire):
     """Where the estimate will be."""
 
 
-def _section(hint: Any) -> Any:
-    """A section of the configuration as clients send it: any subset of its fields."""
-    schema = TypeAdapter(hint).json_schema()
-    schema.pop("required", None)
-    return Annotated[dict[str, Any] | None, WithJsonSchema(schema)]
-
-
-_SECTIONS: dict[str, Any] = {
-    item.name: (_section(item.default_factory), Field(default=None)) for item in fields(SessionConfig)
-}
-SECTION_NAMES = tuple(_SECTIONS)
-
-
 class _SessionHead(Wire):
     model_id: str | None = None
     """From the model's upload."""
@@ -240,7 +225,7 @@ class _SessionHead(Wire):
         return self
 
 
-SessionRequest = create_model("SessionRequest", __base__=_SessionHead, **_SECTIONS)
+SessionRequest = create_model("SessionRequest", __base__=_SessionHead, **SECTIONS)
 """A new session; what is left out comes from the preset."""
 
 

@@ -13,6 +13,7 @@ from service.api.bodies import read_json
 from service.api.forwarding import Call
 from service.api.moving import Moved, move
 from service.api.paging import page_limit, problems, stored_page
+from service.api.sections import SECTIONS
 from service.api.services import ServicesDep
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
@@ -39,7 +40,7 @@ async def create_session(
     With `model_ids` every frame is tracked under each model, and `models` of each estimate says how probable they are.
     """
     wanted = (await read_json(request, schemas.SessionRequest)).model_dump(exclude_none=True)
-    sections = {name: wanted[name] for name in schemas.SECTION_NAMES if name in wanted}
+    sections = {name: wanted[name] for name in SECTIONS if name in wanted}
     if "background" in wanted:
         sections["camera"] = {**sections.get("camera", {}), "background": wanted["background"]}
     model_ids = wanted.get("model_ids") or [wanted["model_id"]]

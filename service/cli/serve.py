@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
+from service.workers.interpreter import Interpreter
+
 if TYPE_CHECKING:
     import uvicorn
     from fastapi import FastAPI
@@ -31,21 +33,28 @@ def serve(
     address: Annotated[str | None, typer.Option(help="HOST:PORT of the Ray cluster.")] = None,
 ) -> None:
     """Run the service. What is not given comes from SKYPOSE_... or the defaults (docs/settings.md)."""
+    gc.disable()  # until ``settle``: a collection in the middle of the imports finds nothing and takes its time
+    given: dict[str, Any] = {"host": host, "port": port, "data_dir": data, "workers": workers}
+    given |= {"engine": engine, "ray_address": address}
+    # What a worker imports takes as long as all that this process does to start: side by side they take half.
+    first = Interpreter("service.workers.guarded")
+    run(_settings({name: value for name, value in given.items() if value is not None}), first=first)
+
+
+def _settings(given: dict[str, Any]) -> Settings:
     from pydantic import ValidationError
 
     from service.settings import Settings
 
-    given: dict[str, Any] = {"host": host, "port": port, "data_dir": data, "workers": workers}
-    given |= {"engine": engine, "ray_address": address}
     try:
-        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+        settings = Settings(**given)
     except ValidationError as error:
         wrong = error.errors()[0]
         name = f"SKYPOSE_{'_'.join(map(str, wrong['loc'])).upper()}"
         _refuse(f"{name} is {wrong['input']!r}: {wrong['msg']}", error)
     for line in ignored(os.environ, Settings.model_fields):
         typer.echo(f"skypose serve: {line}", err=True)
-    run(settings)
+    return settings
 
 
 def ignored(environment: Iterable[str], known: Iterable[str]) -> Iterator[str]:
@@ -68,14 +77,16 @@ def require_free(host: str, port: int) -> None:
             _refuse(f"cannot listen on {host}, port {port}: {error.strerror}; --port takes another", error)
 
 
-def run(settings: Settings, worker: str | None = None) -> None:
-    """Serve until SIGINT or SIGTERM, then finish the frames in hand. ``worker`` names another than the tracker."""
+def run(settings: Settings, worker: str | None = None, first: Interpreter | None = None) -> None:
+    """Serve until SIGINT or SIGTERM, then finish the frames in hand.
+
+    ``worker`` names another than the tracker; ``first`` was started for one.
+    """
     from service.cli import logs
     from service.errors import SkyposeError
     from service.workers.kernel import hide
     from service.workers.transports import open_transport
 
-    gc.disable()  # until ``settle``: a collection in the middle of the imports finds nothing and takes its time
     logs.configure(settings.log_level, settings.log_format)
     if settings.decode_sandbox != "off":
         hide()  # from its decode process
@@ -83,8 +94,8 @@ def run(settings: Settings, worker: str | None = None) -> None:
     if settings.needs_credential:
         refuse_open_door(settings)
     try:
-        transport = open_transport(settings.model_dump(), worker)
-        transport.prestart()  # its imports take as long as ours below: side by side they take half
+        transport = open_transport(settings.model_dump(), worker, first)
+        transport.prestart()  # beside our own imports below
         from service.main import create_app
 
         app = create_app(settings, transport)
@@ -164,8 +175,8 @@ def _server(app: FastAPI, settings: Settings) -> uvicorn.Server:
 def settle() -> None:
     """Take what was built at the start out of the garbage collector's sight, and let it run from now on.
 
-    A full collection would walk all of it again and again, and stop the event loop for a tenth of a second.
+    A full collection would walk all of it again and again, and stop the event loop for a tenth of a second; so would
+    one here, before the first call, and the imports leave next to no garbage.
     """
-    gc.collect()
     gc.freeze()
     gc.enable()

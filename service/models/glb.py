@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from trimesh.util import unique_name
 
 from service.errors import MeshFileError
 
@@ -109,8 +108,16 @@ def _unique_names(entries: list[Mapping[str, Any]]) -> list[str]:
     seen: dict[str, int] = {}
     counts: dict[str | None, int] = {}
     for i, entry in enumerate(entries):
-        seen[str(unique_name(entry.get("name", str(i)), seen, counts=counts))] = i
+        name = entry.get("name", str(i))
+        plain = isinstance(name, str) and name and name not in seen
+        seen[name if plain else _another(name, seen, counts)] = i
     return list(seen)
+
+
+def _another(name: str | None, seen: Mapping[str, int], counts: dict[str | None, int]) -> str:
+    from trimesh.util import unique_name  # a large library, and few files name two nodes alike
+
+    return str(unique_name(name, seen, counts=counts))
 
 
 def _descendants(children: list[tuple[int, ...]], root: int) -> set[int]:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from functools import cache
-
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from typing import TYPE_CHECKING
 
 from service.report.sentences import told_probability, with_sigma
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 
 @cache
 def template(name: str) -> Template:
     """One of ``templates/``."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # not at the start: few ask for a report
+
     found = Environment(
         loader=PackageLoader("service.report", "templates"),
         autoescape=True,

@@ -258,5 +258,8 @@ class Worker(Protocol):
     def describe(self) -> Mapping[str, Any]:
         """Devices, scorer, versions, for ``/v1/system``."""
 
+    def wake(self) -> None:
+        """Jobs will come: begin what they need and a spare does without. Does not wait for it."""
+
     def close(self) -> None:
         """Release the device."""

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import os
-from multiprocessing import parent_process
+import pickle
 from multiprocessing.connection import Connection
-from typing import Any
 
 from service.workers.kernel import die_with
 
 _SHARED = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "OPENCV_FOR_THREADS_NUM")
-_SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def run(channel: Connection, factory: str, arguments: tuple[Any, ...], nice: int, threads: int) -> None:
-    """Body of a worker process: see ``service.workers.host``. ``threads``: its share of the cores."""
-    parent = parent_process()
-    if parent is not None and parent.pid is not None:
-        die_with(parent.pid)  # whoever stands still cannot see its parent go
+def main(descriptor: int, parent: int, ahead: str) -> None:
+    """Body of a worker process: see ``service.workers.host``. What it runs is the first message of the channel.
+
+    ``ahead`` is a module to import until that comes.
+    """
+    die_with(parent)  # whoever stands still cannot see its parent go
     gc.disable()  # until the worker is built: collections in the middle of the imports find nothing
+    channel = Connection(descriptor)
+    if ahead:
+        importlib.import_module(ahead)
+    try:
+        factory, arguments, nice, threads = pickle.loads(channel.recv_bytes())
+    except EOFError:  # it is not needed after all
+        return
     limit_threads(threads)
     from service.workers.host import serve
 
@@ -28,11 +35,6 @@ def run(channel: Connection, factory: str, arguments: tuple[Any, ...], nice: int
 
 
 def limit_threads(threads: int) -> None:
-    """Set before NumPy, OpenCV and PoCL are loaded, which would each start a thread for every core.
-
-    BLAS has one, whatever the share: the matrices here are small, and a sum must not depend on the number of cores.
-    """
+    """Set before OpenCV and PoCL are first used, which would each start a thread for every core."""
     for name in _SHARED:
         os.environ.setdefault(name, str(threads))
-    for name in _SINGLE:
-        os.environ.setdefault(name, "1")

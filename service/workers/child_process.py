@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import pickle
+import subprocess
 import threading
 from dataclasses import dataclass
-from multiprocessing.util import Finalize
 from typing import Any
 
 import structlog
 
 from service.errors import SkyposeError
-from service.workers.child import run
+from service.workers.interpreter import Interpreter
 
 log = structlog.get_logger(__name__)
-_CONTEXT = multiprocessing.get_context("spawn")  # fork would copy device contexts and locks
+_END_S = 5.0  # that a process has to end when it is asked to
 
 
 class WorkerLostError(Exception):
@@ -41,25 +40,23 @@ class Program:
 class ChildProcess:
     """Starts at once, without waiting; ``wait_ready`` comes before the first ``exchange``."""
 
-    def __init__(self, program: Program) -> None:
-        here, there = _CONTEXT.Pipe()
-        arguments = (there, program.factory, program.arguments, program.nice, program.threads)
-        self._process = _CONTEXT.Process(target=run, args=arguments, name="skypose-worker", daemon=True)
-        self._process.start()
-        there.close()  # so that the end of the process is the end of the pipe
-        self._channel = here
+    def __init__(self, program: Program, interpreter: Interpreter | None = None) -> None:
+        """In ``interpreter``, which was started before, or one that is started now."""
+        self._interpreter = interpreter or Interpreter()
+        self._process, self._channel = self._interpreter.process, self._interpreter.channel
         self._start_timeout_s = program.start_timeout_s
-        # At exit multiprocessing would send SIGTERM, which workers ignore, and wait.
-        self._reaper = Finalize(None, self._process.kill, exitpriority=10)
         self.pid = self._process.pid
+        message = pickle.dumps((program.factory, program.arguments, program.nice, program.threads))
+        with contextlib.suppress(OSError):  # it is gone already: ``wait_ready`` will say so
+            self._channel.send_bytes(message)
 
     def wait_ready(self) -> None:
         """Wait until it takes jobs. Raises ``WorkerLostError``; the process is then ended."""
         self._expect(None)
 
-    def ping(self) -> None:
-        """Ask it for nothing. Raises ``WorkerLostError`` where it does not answer; the process is then ended."""
-        self._expect(pickle.dumps(("ping", None)))
+    def wake(self) -> None:
+        """Say that jobs will come. Raises ``WorkerLostError`` where it does not answer; the process is then ended."""
+        self._expect(pickle.dumps(("wake", None)))
 
     def _expect(self, message: bytes | None) -> None:
         try:
@@ -73,7 +70,7 @@ class ChildProcess:
 
         Raises what the worker refused with, and ``WorkerLostError``.
         """
-        watchdog = threading.Timer(timeout_s, self._kill)
+        watchdog = threading.Timer(timeout_s, self._process.kill)
         watchdog.start()
         try:
             if message is not None:
@@ -98,22 +95,13 @@ class ChildProcess:
         """Ask it to end, wait a little, and end it."""
         try:
             self._channel.send_bytes(b"")
-            self._process.join(5.0)
+            self._process.wait(_END_S)
         except OSError:
             log.info("worker was gone already", pid=self.pid)
+        except subprocess.TimeoutExpired:
+            log.warning("worker does not end by itself", pid=self.pid)
         self.end()
 
     def end(self) -> None:
         """End it at once and release everything."""
-        self._reaper.cancel()
-        self._process.kill()
-        # A thread that starts a process also reaps those that ended: until it has noted how this one ended,
-        # join returns at once.
-        while self._process.exitcode is None:
-            self._process.join()
-        self._process.close()
-        self._channel.close()
-
-    def _kill(self) -> None:
-        with contextlib.suppress(ValueError):  # ended and closed just before the watchdog came
-            self._process.kill()
+        self._interpreter.close()

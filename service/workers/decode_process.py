@@ -18,8 +18,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-import structlog
-
 from gpu.raw_part import RawPart
 from service.errors import ImageError, InputError, MeshFileError, TooLargeError, WorkerFailedError, every_error
 from service.imaging.decode import ByteOrder, Frame
@@ -38,7 +36,6 @@ from service.workers.decode_wire import (
 from service.workers.limits import DecodeLimits
 from service.workers.sandbox import Sandbox
 
-log = structlog.get_logger(__name__)
 _START = (
     "import sys; from service.workers.kernel import die_with; die_with(int(sys.argv[2])); "
     "from service.workers.decode_child import main; main(int(sys.argv[1]))"
@@ -178,7 +175,7 @@ class DecodeProcess:
 
     def _lose(self, reason: str) -> None:
         self.losses += 1
-        log.warning("decoder lost", reason=reason, pid=self.pid)
+        _warn("decoder lost", reason=reason, pid=self.pid)
         self._end()
         self._begin()  # the next job finds it ready, or nearly
 
@@ -214,7 +211,7 @@ class DecodeProcess:
             self._end()
             raise WorkerFailedError(f"SKYPOSE_DECODE_SANDBOX is required, but of it holds: {sandbox}")
         if sandbox.missing:
-            log.warning("decode sandbox not complete", missing=sandbox.missing)
+            _warn("decode sandbox not complete", missing=sandbox.missing)
         return sandbox
 
     def _end(self) -> None:
@@ -235,9 +232,15 @@ def _started(descriptor: int) -> subprocess.Popen[bytes]:
     )
 
 
+def _warn(event: str, **facts: object) -> None:
+    import structlog  # a tenth of a second and ten megabytes of every worker, which seldom has anything to say
+
+    structlog.get_logger(__name__).warning(event, **facts)
+
+
 def _refusal(method: str, value: dict[str, Any]) -> InputError:
     if "traceback" in value:
-        log.warning("decoder tripped", traceback=value["traceback"])
+        _warn("decoder tripped", traceback=value["traceback"])
     kind = _REFUSALS.get(str(value["error"]), InputError)
     facts = {name: fact for name, fact in value.get("facts", {}).items() if name in _FACTS}
     field = value.get("field")

@@ -40,6 +40,9 @@ class Decoder(Protocol):
 
     limits: DecodeLimits
 
+    def prestart(self) -> None:
+        """Begin to bring up what the first job needs, without waiting."""
+
     def frame(self, body: bytes, media_type: str, ser_byte_order: ByteOrder = "auto") -> Frame:
         """The one image of a file."""
 
@@ -67,6 +70,9 @@ class InPlace:
 
     def __init__(self, limits: DecodeLimits | None = None) -> None:
         self.limits = limits or DecodeLimits()
+
+    def prestart(self) -> None:
+        """It is here already."""
 
     def frame(self, body: bytes, media_type: str, ser_byte_order: ByteOrder = "auto") -> Frame:
         """See ``Decoder``."""

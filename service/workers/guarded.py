@@ -14,7 +14,7 @@ from service.workers.warm_up import build_kernels
 
 
 def guarded(limits: DecodeLimits, kernels: Path | None = None, device: str | None = None) -> Tracker:
-    """A tracker that is ready for its first frame.
+    """A tracker that is ready for its first frame, but for the decoder, which comes up when it is woken.
 
     What clients send is decoded in a process of its own; built kernels are kept in the folder ``kernels`` if there is
     one. ``device`` is the address of a device's owner that scores for several workers.
@@ -22,7 +22,6 @@ def guarded(limits: DecodeLimits, kernels: Path | None = None, device: str | Non
     if limits.sandbox != "off":
         hide()  # from the decoder, too
     decoder = DecodeProcess(limits)
-    decoder.prestart()
     cache = None if kernels is None else KernelCache(kernels)
     if cache is not None:
         cache.open()

@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import gc
 import importlib
-import os
 import pickle
 import signal
-import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import replace
-from multiprocessing import connection, parent_process
+from multiprocessing.connection import Connection
 from typing import Any, Literal
 
 from service.errors import SkyposeError
 from service.inference.state import FilterState
 from service.workers.base import PackedFrameJob, PackedFrameReport, Worker
 from service.workers.codec import decode, encode
+from service.workers.kernel import return_memory
 
 Outcome = Literal["done", "refused", "bug", "broken"]
 
 
 def execute(worker: Worker, method: str, job: Any) -> Any:
     """Run one job. A frame's state is unpacked and packed here, so that nobody outside touches its arrays."""
-    if method == "ping":
-        return None
+    if method == "wake":
+        return worker.wake()
     if method == "describe":
         return dict(worker.describe())
     if method == "track":
@@ -47,18 +46,17 @@ def load_factory(path: str) -> Callable[..., Worker]:
     return factory
 
 
-def serve(channel: connection.Connection, factory: str, arguments: tuple[Any, ...] = ()) -> None:
+def serve(channel: Connection, factory: str, arguments: tuple[Any, ...] = ()) -> None:
     """Body of a worker process. First message out: ``("done", None)`` when ready."""
     # Ctrl-C and a supervisor's SIGTERM reach the whole group; the parent finishes its frames first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     worker: Worker | None = None
     ready = False
     try:
         worker = load_factory(factory)(*arguments)
-        gc.collect()
-        gc.freeze()  # what stays for good is not looked at again
+        gc.freeze()  # what stays for good is never looked at; the imports leave next to no garbage
+        return_memory()  # of the kernels' compiler: twelve megabytes
         gc.enable()
         channel.send_bytes(pickle.dumps(("done", None)))
         ready = True
@@ -87,10 +85,3 @@ def _answer(worker: Worker, message: bytes) -> tuple[Outcome, Any]:
     except Exception as error:  # noqa: BLE001 -- the parent hears of it, whatever it is
         lost_device = type(error).__module__.partition(".")[0] == "pyopencl"
         return "broken" if lost_device else "bug", traceback.format_exc()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)

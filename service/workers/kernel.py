@@ -34,6 +34,12 @@ def allow_no_new_privileges() -> None:
     _prctl(_SET_NO_NEW_PRIVILEGES, 1)
 
 
+def return_memory() -> None:
+    """Give back what the allocator keeps of memory that is free, where it is one that can be asked."""
+    if hasattr(_LIBC, "malloc_trim"):  # glibc's
+        _LIBC.malloc_trim(0)
+
+
 def drop_capabilities() -> None:
     """Have no more rights than any user, root included."""
     header = (ctypes.c_uint32 * 2)(_CAPABILITY_VERSION, 0)

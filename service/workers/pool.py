@@ -15,6 +15,7 @@ from service.workers.base import PackedFrameJob
 from service.workers.child_process import Program, WorkerLostError
 from service.workers.device_process import DeviceProcess
 from service.workers.fair_queue import SEEN, FairQueue
+from service.workers.interpreter import Interpreter
 from service.workers.placement import Placement
 from service.workers.process import WorkerProcess
 from service.workers.spare import Spare
@@ -38,8 +39,9 @@ class ProcessTransport:
         timeout_s: float,
         batching: Batching = "off",
         cores: int | None = None,
+        first: Interpreter | None = None,
     ) -> None:
-        """``cores`` that the workers may use together; None: all.
+        """``cores`` that the workers may use together; None: all. ``first`` becomes the first worker.
 
         With batching the address of the device's owner is one more argument of the program's factory.
         """
@@ -51,7 +53,9 @@ class ProcessTransport:
         shared = replace(program, threads=max(1, cores // workers))
         self._spare = Spare(shared)
         names = [*(f"track-{n}" for n in range(workers)), "side"]
-        *self.workers, self.side = [WorkerProcess(name, shared, timeout_s, self._spare) for name in names]
+        *self.workers, self.side = [
+            WorkerProcess(name, shared, timeout_s, self._spare, first if name == names[0] else None) for name in names
+        ]
         self._by_name = {worker.name: worker for worker in self.workers}
         self._placement = Placement(self._by_name)
         self._queues = {name: FairQueue(SEEN) for name in self._by_name}

@@ -16,6 +16,7 @@ import structlog
 
 from service.errors import SkyposeError, StoppingError, WorkerFailedError
 from service.workers.child_process import ChildProcess, Program, WorkerLostError, WorkerTimeoutError
+from service.workers.interpreter import Interpreter
 from service.workers.limits import DecodeLimits
 from service.workers.spare import Spare
 
@@ -40,12 +41,21 @@ def timed_out(error: SkyposeError) -> bool:
 class WorkerProcess:
     """One worker process, had when first needed and again after each loss: the spare, else one started now."""
 
-    def __init__(self, name: str, program: Program, timeout_s: float, spare: Spare | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        program: Program,
+        timeout_s: float,
+        spare: Spare | None = None,
+        first: Interpreter | None = None,
+    ) -> None:
+        """``first``: an interpreter that was started ahead, for the first process."""
         self.name = name
         self.restarts = 0
         self._program = program
         self._timeout_s = timeout_s
         self._spare = spare
+        self._first = first
         self._child: ChildProcess | None = None
         self._closing = False
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"worker-{name}")
@@ -120,9 +130,11 @@ class WorkerProcess:
         return self._child
 
     def _started(self) -> ChildProcess:
-        child = ChildProcess(self._program)
+        first, self._first = self._first, None
+        child = ChildProcess(self._program, first)
         try:
             child.wait_ready()
+            child.wake()
         except WorkerLostError as loss:
             raise WorkerFailedError(f"the worker did not start: {loss}") from loss
         return child

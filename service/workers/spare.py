@@ -40,7 +40,7 @@ class Spare:
             self.fill()
         if child is not None:
             try:
-                child.ping()
+                child.wake()
             except WorkerLostError as loss:
                 log.warning("spare worker was gone", reason=str(loss), pid=child.pid)
                 return None

@@ -237,6 +237,10 @@ class Tracker:
         """This machine and what is installed."""
         return describe_machine()
 
+    def wake(self) -> None:
+        """The decoder comes up beside whatever is done meanwhile."""
+        self._decoder.prestart()
+
     def close(self) -> None:
         """Release the device and the decoder."""
         self._decoder.close()

@@ -10,22 +10,27 @@ from typing import Any
 from service.errors import ConfigError
 from service.workers.child_process import Program
 from service.workers.engine import Transport
+from service.workers.interpreter import Interpreter
 from service.workers.pool import Batching, ProcessTransport
 from service.workers.process import TRACKER, tracker_program
 
 NODE_KERNELS = Path("~/.cache/skypose/kernels")  # of a machine that has no folder of the service's
 
 
-def open_transport(settings: Mapping[str, Any], factory: str | None = None) -> Transport:
-    """Of the process's settings; ``factory`` names another worker than the tracker.
+def open_transport(
+    settings: Mapping[str, Any], factory: str | None = None, first: Interpreter | None = None
+) -> Transport:
+    """Of the process's settings; ``factory`` names another worker than the tracker, ``first`` was started for one.
 
     Raises ``ConfigError`` for Ray where it is not installed.
     """
     program = tracker_program(settings, factory)
     batching: Batching = settings["batching"] if factory is None else "off"  # it is the tracker that knows of devices
     if settings["engine"] == "ray":
+        if first is not None:
+            first.close()  # Ray starts its own
         return _ray(settings, program, batching)
-    return ProcessTransport(program, settings["workers"], settings["worker_timeout_s"], batching)
+    return ProcessTransport(program, settings["workers"], settings["worker_timeout_s"], batching, first=first)
 
 
 def _ray(settings: Mapping[str, Any], program: Program, batching: Batching) -> Transport:

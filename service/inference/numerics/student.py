@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammaln
-from scipy.stats import f as fisher
+from scipy.special import fdtri, gammaln
 
 from service.inference.state import Array
 
 
 def squared_radius(share: float, dimensions: int, degrees: float) -> float:
     """d' C^-1 d below which ``share`` of a Student t with scale C lies: Fisher's F times the dimensions."""
-    return float(dimensions * fisher.ppf(share, dimensions, degrees))
+    return float(dimensions * fdtri(dimensions, degrees, share))
 
 
 def root_of(covariance: Array) -> Array:

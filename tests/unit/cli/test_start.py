@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-HEAVY = (
+WEB_NEEDS_NONE = (
     "scipy",
     "trimesh",
     "collada",
@@ -15,11 +15,33 @@ HEAVY = (
     "pyopencl",
     "moderngl",
     "psycopg",
+    "jinja2",
 )
+
+
+WORKER_NEEDS_NONE = (
+    "trimesh",
+    "collada",
+    "PIL",
+    "astropy",
+    "fastapi",
+    "sqlalchemy",
+    "pydantic",
+    "scipy.stats",
+    "structlog",
+)
+
+
+def loaded_by(module: str) -> set[str]:
+    code = f"import sys, {module}; print(*sys.modules)"
+    return set(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split())
 
 
 def test_the_web_process_loads_none_of_the_large_libraries_of_others():
     """They are the workers', or those of a database or an identity provider that is not there."""
-    code = "import sys, service.main; print(*{name.partition('.')[0] for name in sys.modules})"
-    loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
-    assert sorted(set(HEAVY) & set(loaded)) == []
+    assert sorted(set(WEB_NEEDS_NONE) & loaded_by("service.main")) == []
+
+
+def test_a_worker_loads_no_mesh_library_and_no_statistics():
+    """Files are its decode process's; each of these takes a third of a second and tens of megabytes."""
+    assert sorted(set(WORKER_NEEDS_NONE) & loaded_by("service.workers.guarded")) == []

@@ -152,7 +152,6 @@ def test_a_worker_hides_its_memory(monkeypatch, sandbox, dumpable):
     hidden = []
     monkeypatch.setattr(guarded, "hide", lambda: hidden.append(True))
     monkeypatch.setattr(guarded, "build_kernels", lambda: None)
-    monkeypatch.setattr(guarded.DecodeProcess, "prestart", lambda _: None)
     guarded.guarded(DecodeLimits(sandbox=sandbox)).close()
     assert hidden == [] if dumpable else [True]
 

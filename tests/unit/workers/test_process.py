@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import pickle
 import signal
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -10,7 +11,8 @@ import pytest
 from fake_worker import FakeWorker
 
 from service.errors import ImageError, SkyposeError, StoppingError, WorkerFailedError
-from service.workers.child_process import ChildProcess, Program
+from service.workers.child_process import Program
+from service.workers.interpreter import Interpreter
 from service.workers.pool import ProcessTransport
 from service.workers.process import WorkerProcess
 from service.workers.spare import Spare
@@ -21,6 +23,11 @@ FACTORY_OF_AWKWARD = "test_process:Awkward"
 
 class Awkward(FakeWorker):
     """Does to its process what a job says."""
+
+    woken = False
+
+    def wake(self):
+        self.woken = True
 
     def overlay(self, job):
         if job == "die":
@@ -35,6 +42,8 @@ class Awkward(FakeWorker):
             raise ZeroDivisionError
         if job == "refuse":
             raise ImageError("broken", field="body", limit=3)
+        if job == "woken":
+            return self.woken
         if isinstance(job, tuple):  # ("once", path): die, but only the first time
             with Path(job[1]).open("a") as marks:
                 marks.write(".")
@@ -176,19 +185,35 @@ async def test_spare_takes_the_place_of_one_that_is_lost():
         spare.close()
 
 
-def test_end_waits_for_the_thread_that_reaped_the_process(monkeypatch):
-    child = ChildProcess(Program(FACTORY_OF_AWKWARD))
-    child.wait_ready()
-    popen = child._process._popen
-    real, asked = popen.poll, []
+async def test_an_interpreter_that_was_started_ahead_is_the_first_worker():
+    first = Interpreter("fake_worker")
+    process = WorkerProcess("w", Program(FACTORY_OF_AWKWARD), 60.0, first=first)
+    try:
+        assert await process.call("overlay", "pid") == first.process.pid
+        os.kill(process.pid, signal.SIGKILL)
+        assert await process.call("overlay", "pid") not in (None, first.process.pid)
+    finally:
+        await process.close()
 
-    def noted_late(*flag):
-        asked.append(flag)
-        return real(*flag) if len(asked) > 2 else None
 
-    monkeypatch.setattr(popen, "poll", noted_late)
-    child.end()
-    assert len(asked) > 2
+def test_an_interpreter_that_is_not_needed_ends_by_itself():
+    interpreter = Interpreter()
+    interpreter.channel.close()
+    assert interpreter.process.wait() == 0
+
+
+async def test_a_spare_is_woken_when_it_is_taken():
+    spare = Spare(Program(FACTORY_OF_AWKWARD))
+    process = WorkerProcess("w", Program(FACTORY_OF_AWKWARD), 60.0, spare)
+    spare.fill()
+    try:
+        asleep = spare._next.result()
+        assert asleep.exchange(pickle.dumps(("overlay", "woken")), 60.0) is False
+        assert await process.call("overlay", "woken") is True
+        assert process.pid == asleep.pid
+    finally:
+        await process.close()
+        spare.close()
 
 
 async def test_spare_that_cannot_be_built_is_done_without():
