@@ -11,8 +11,8 @@ import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import httpx
 import orjson
 import structlog
 from starlette.requests import HTTPConnection, Request
@@ -27,6 +27,9 @@ from service.metrics import Metrics
 from service.sessions.cluster import Cluster, Instance
 from service.sessions.registry import Registry
 from service.sessions.session import Session
+
+if TYPE_CHECKING:
+    import httpx
 
 log = structlog.get_logger(__name__)
 _GONE_AFTER_S = 0.3  # nobody listens at the owner's address for so long: it is dead, whatever its lease says
@@ -85,6 +88,8 @@ class Forwarding:
     async def open(self) -> None:
         """Be ready to hand calls on."""
         if self.peers is not None:
+            import httpx  # here and below: one process alone never needs it
+
             await self.peers.open()
             limits = httpx.Limits(max_connections=None, max_keepalive_connections=100, keepalive_expiry=2.0)
             timeout = httpx.Timeout(None, connect=_CONNECT_S)  # how long an owner may take, its lease says
@@ -129,6 +134,8 @@ class Forwarding:
 
     async def hand_on(self, call: Call, to: Instance) -> Response:
         """The answer of another process. Raises ``StaleOwnerError`` where that is none, or not the owner's."""
+        import httpx
+
         self._metrics.forwarded.inc()
         sending = asyncio.create_task(self._send(call, to))
         try:
@@ -176,6 +183,8 @@ class Forwarding:
 
     async def _lines(self, session: SessionKey, to: Instance, answer: httpx.Response) -> AsyncIterator[bytes]:
         """Pieces of an answer as they come; where they stop, the last line says so."""
+        import httpx
+
         pieces = answer.aiter_bytes()
         try:
             while True:

@@ -18,6 +18,7 @@ from service.cli.bench_misfits import misfits
 from service.cli.bench_motion import motion
 from service.cli.bench_real import real
 from service.cli.bench_scorers import scorers
+from service.cli.bench_start import start
 from service.cli.bench_step import step
 
 bench = typer.Typer(name="bench", no_args_is_help=True, help="Benchmarks: accuracy, calibration, time, load.")
@@ -39,6 +40,7 @@ Settled = Annotated[int, typer.Option("--from", min=0, help="Visible frames that
 Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE for all sessions; may be repeated.")]
 
 bench.command()(scorers)
+bench.command()(start)
 bench.command()(step)
 bench.command()(light)
 bench.command()(likelihood)

@@ -86,19 +86,15 @@ def _scene(mesh: str, size: str) -> Scene:
 
 def _local(workers: Sequence[int], scene: Scene, plan: LoadPlan, rows: list[LoadRow]) -> None:
     """A fresh service for each number of workers; SKYPOSE_... of the environment hold for it."""
-    import socket
     from tempfile import TemporaryDirectory
 
     from service.bench.load.cost import ServerMeter
-    from service.cli.demo_service import ServiceProcess
+    from service.cli.demo_service import ServiceProcess, free_port
 
     for n in workers:
-        with socket.socket() as probe:
-            probe.bind((_HOST, 0))
-            port = probe.getsockname()[1]
         with TemporaryDirectory(prefix="skypose-load-") as folder:
             options = ("--workers", str(n))
-            with ServiceProcess(_HOST, port, Path(folder), options) as service:
+            with ServiceProcess(_HOST, free_port(_HOST), Path(folder), options) as service:
                 meter = ServerMeter(service.pid, _counters(Path(folder) / "data"))
                 _measure(service.url, None, scene, plan, rows, meter)
 

@@ -14,7 +14,7 @@ import httpx
 
 _START_LIMIT_S = 60.0
 _STOP_LIMIT_S = 15.0
-_POLL_S = 0.1
+_POLL_S = 0.02
 _LOG_LINES = 15
 
 
@@ -65,15 +65,16 @@ class ServiceProcess:
     def _wait_until_ready(self) -> None:
         assert self._process is not None, "called by __enter__"
         until = time.monotonic() + _START_LIMIT_S
-        while time.monotonic() < until:
-            if self._process.poll() is not None:
-                raise DemoError(f"the service ended while it started:\n{self._last_log_lines()}")
-            try:
-                if httpx.get(f"{self.url}/readyz", timeout=2.0).status_code == httpx.codes.OK:
-                    return
-            except httpx.TransportError:
-                pass  # not listening yet: ask again until the limit
-            time.sleep(_POLL_S)
+        with httpx.Client(timeout=2.0) as client:  # one for all: making one takes longer than to ask
+            while time.monotonic() < until:
+                if self._process.poll() is not None:
+                    raise DemoError(f"the service ended while it started:\n{self._last_log_lines()}")
+                try:
+                    if client.get(f"{self.url}/readyz").status_code == httpx.codes.OK:
+                        return
+                except httpx.TransportError:
+                    pass  # not listening yet: ask again until the limit
+                time.sleep(_POLL_S)
         raise DemoError(f"the service was not ready after {_START_LIMIT_S:.0f} s:\n{self._last_log_lines()}")
 
     def _last_log_lines(self) -> str:
@@ -88,6 +89,14 @@ class ServiceProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def free_port(host: str) -> int:
+    """A port that nothing listens on."""
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        port: int = probe.getsockname()[1]
+        return port
 
 
 def _require_free(host: str, port: int) -> None:

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from sqlalchemy import ColumnElement, Connection, Float, cast, delete, extract, func, insert, select, update
-from sqlalchemy.dialects import postgresql
+from sqlalchemy import ColumnElement, Connection, Float, Table, cast, delete, extract, func, insert, select, update
 
 from service.store.scope import SessionKey
 from service.store.tables import cluster, instances, owners, sessions
+
+if TYPE_CHECKING:
+    from sqlalchemy.dialects.postgresql import Insert
 
 FORGOTTEN_S = 3600.0
 
@@ -81,7 +84,7 @@ def owner(connection: Connection, session_id: SessionKey) -> Instance | None:
 def assign(connection: Connection, session_id: SessionKey, instance: str) -> None:
     """Make a process the session's owner. The caller holds the session's row."""
     values = {"session_id": session_id, "instance": instance}
-    query = postgresql.insert(owners).values(values)
+    query = _insert(owners).values(values)
     connection.execute(query.on_conflict_do_update(index_elements=["session_id"], set_={"instance": instance}))
 
 
@@ -103,7 +106,13 @@ def release(connection: Connection, session_id: SessionKey, epoch: int, me: str,
 
 def secret(connection: Connection) -> str:
     """What all processes of this database know, and nobody else."""
-    fresh = postgresql.insert(cluster).values(id=1, secret=secrets.token_urlsafe(32))
+    fresh = _insert(cluster).values(id=1, secret=secrets.token_urlsafe(32))
     connection.execute(fresh.on_conflict_do_nothing())
     found: str = connection.execute(select(cluster.c.secret)).scalar_one()
     return found
+
+
+def _insert(table: Table) -> Insert:
+    from sqlalchemy.dialects import postgresql  # a dialect that most services never need
+
+    return postgresql.insert(table)

@@ -69,6 +69,7 @@ from service.workers.smoothing import smooth_pass
 from service.workers.splitting import SplitJob
 from service.workers.visible import HalfShown
 
+LONG_MS = 500.0  # a frame that takes longer may have built kernels, which a worker that is killed later cannot keep
 SKIES, SKY_BYTES = 1000, 512 << 20  # kept: every session has its own
 
 
@@ -133,8 +134,12 @@ class Tracker:
         require_same(image, sky.mean.shape, sky.spec.bits)
         decoded = time.perf_counter()
         if job.config.filter.method == "bootstrap":
-            return self._bootstrap(job, image, sky, began, decoded)
-        return self._follow(job, image, sky, lens_of(camera, *size), began, decoded)
+            report = self._bootstrap(job, image, sky, began, decoded)
+        else:
+            report = self._follow(job, image, sky, lens_of(camera, *size), began, decoded)
+        if self._kernels is not None and report.timing_ms["total"] > LONG_MS:
+            self._kernels.keep()
+        return report
 
     def _bootstrap(self, job: FrameJob, image: Image, sky: Sky, began: float, decoded: float) -> FrameReport:
         """A frame of the published filter."""

@@ -16,6 +16,7 @@ WEB_NEEDS_NONE = (
     "moderngl",
     "psycopg",
     "jinja2",
+    "httpx",
 )
 
 
