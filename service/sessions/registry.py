@@ -65,9 +65,7 @@ class Registry:
         """
         sections, left_out = session_config.without_retired(sections)
         config = session_config.effective(sections)
-        odd = await asyncio.to_thread(
-            orbit_warnings, config
-        )  # refused now, not with a frame
+        odd = await asyncio.to_thread(orbit_warnings, config)  # refused now, not with a frame
         warnings = [*left_out, *session_config.unused(sections, config), *odd]
         keys = [model_key(tenant, model_id) for model_id in model_ids]
         for key in keys:
