@@ -343,9 +343,9 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
             for (int b = 0; b <= order; ++b)
                 r.scale[m++] = pown(s.width, order) / sqrt(factorial[order - b] * factorial[b]);
     }
+    clear(r.light, all, s.side);  // beyond the body, too
     if (start) return lit;
     // The gain by least squares, everything else at its prior.
-    clear(r.light, all, s.side);
     for (int m = 0; m < lit; ++m)
         add(r.light, picture_in(s, r, s.first + m), r.box[s.first + m], s.side,
             exp(offset[r.plane[m]] + (float)r.mean[m]));

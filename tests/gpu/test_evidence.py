@@ -159,12 +159,22 @@ def test_unknowns_go_on_where_others_ended(light, name):
     np.testing.assert_allclose(again.log_evidence, settled.log_evidence, atol=1e-2)
 
 
+@pytest.mark.parametrize("goes_on", [False, True])
 @pytest.mark.parametrize("count", [0, 1, 7])
-def test_poses_do_not_hear_of_each_other(light, count):
+def test_poses_do_not_hear_of_each_other(light, count, goes_on):
     rng = np.random.default_rng(3)
     planes = np.stack([wedges(rng, 32, 4, 4) for _ in range(7)])
     terms = terms_of(scene_of(rng, planes[0], 4, SHARP, True), 4, 9)
-    whole, (some, more) = light.evidence(planes, 4, terms, 4), light.details(planes[:count], 4, terms, 4)
+    planes[1] = np.roll(planes[1], (9, -9), (1, 2))  # elsewhere: light that the one before leaves there would show
+    if goes_on:
+        terms = terms.begun(np.repeat(light.evidence(planes[:1], 4, terms, 4).values, 7, 0))
+    whole = light.evidence(planes, 4, terms, 4)
+    terms = terms if terms.start is None else replace(terms, start=terms.start[: max(count, 1)])
+    some, more = light.details(planes[:count], 4, terms, 4)
+    alone = replace(terms, start=None if terms.start is None else terms.start[:1])
+    for k in range(7):
+        one = light.evidence(planes[k : k + 1], 4, alone, 4)
+        np.testing.assert_array_equal(one.log_evidence, whole.log_evidence[k : k + 1])
     assert some.log_evidence.shape == (count,) and some.coefficients.shape == (count, 9) and len(more) == count
     np.testing.assert_allclose(some.log_evidence, whole.log_evidence[:count], rtol=1e-6)
     np.testing.assert_allclose(some.coefficients, whole.coefficients[:count], rtol=1e-5)
