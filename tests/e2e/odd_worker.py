@@ -13,6 +13,9 @@ class Odd:
     def describe(self):
         return {}
 
+    def wake(self):
+        pass
+
     def close(self):
         pass
 
