@@ -297,8 +297,8 @@ static void prepare(const Scene s, const Room r, __global const float *slopes)
 // gain that fits best with it. How many positives are lit.
 static int begin(const Scene s, const Room r, __global const float *planes, __global const float *offset,
     __global const float *given_mean, __global const float *given_precision, __global const float *start,
-    __global const float *data, __global const float *weights, __global const int *radii, __global const float *taps, const int groups,
-    Box *body)
+    __global const float *data, __global const float *weights, __global const int *radii, __global const float *taps,
+    const int groups, Box *body)
 {
     const Box all = {0, s.side, 0, s.side};
     int radius = 0, lit = 0;
@@ -444,8 +444,9 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
     for (int m = 0; m < lit; ++m) to[m] = (float)r.plane[m];
 }
 
-// given_mean, given_precision (unknowns), or `every` of them a pose; given_start (N, unknowns) if `started`. marks: 1 where a pixel is known from below alone,
-// added to twice the number of a piece that may be a star's; stars (n_stars, 5): of each its number, rows and columns.
+// given_mean, given_precision (unknowns), or `every` of them a pose; given_start (N, unknowns) if `started`. marks: 1
+// where a pixel is known from below alone, added to twice the number of a piece that may be a star's; stars
+// (n_stars, 5): of each its number, rows and columns.
 // spreads (N, 4): of each pose its first component, how many they are, its first tap, and which of the drawn ones it
 // is. own (N, 2): C tau^2, width of the point spread.
 // out (N, 4): log evidence, chi2 of the body, log det, squared deviation; coefficients (N, planes) what `combined`
@@ -453,13 +454,14 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
 __kernel void evidence(
     __global const float *planes, const int poses, __global const float *offset, __global const float *given_mean,
     __global const float *given_precision, const int every, __global const float *given_start, const int started,
-    __global const float *data, __global const uchar *marks, __global const float *slopes, __global const float *bumps, __global const float *weights,
-    __global const int *radii, __global const float *taps, __global const int *stars, const int groups, const int side,
-    const int n_planes, const int speckle, const int shifts, const int rounds, const int length, const int n_stars,
+    __global const float *data, __global const uchar *marks, __global const float *slopes,
+    __global const float *bumps, __global const float *weights, __global const int *radii,
+    __global const float *taps, __global const int *stars, const int groups, const int side, const int n_planes,
+    const int speckle, const int shifts, const int rounds, const int length, const int n_stars,
     const float sigma2, const float photon, const float hidden, const float area, const float edge2, const float gain,
     const float star, __global const int *spreads, __global const float *own, __global float *out,
-    __global float *coefficients, __global float *values, __global float *details, __global float *memory, const ulong each,
-    volatile __global int *next)
+    __global float *coefficients, __global float *values, __global float *details, __global float *memory,
+    const ulong each, volatile __global int *next)
 {
     const int more = (speckle ? HERMITE : 0) + (shifts ? 2 * BUMPS : 0), pixels = side * side;
     Scene s = {side, pixels, pixels + ODD * LANES, n_planes, n_planes - 1, n_planes - 1 + 6 + more, speckle,
@@ -475,7 +477,8 @@ __kernel void evidence(
         Box body;
         const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * pixels, offset,
             given_mean + (size_t)pose * every, given_precision + (size_t)pose * every,
-            started ? given_start + (size_t)pose * s.unknowns : 0, data, weights + spread[0], radii + spread[0], taps + spread[2], groups, &body);
+            started ? given_start + (size_t)pose * s.unknowns : 0, data, weights + spread[0], radii + spread[0],
+            taps + spread[2], groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
         float gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         bool sound = true, still = false;

@@ -118,9 +118,8 @@ def born(one: Refined, level: float | None, siblings: int, noise: MotionNoise, d
 def looks_at(mode: Weighed, hill: Hill, other: Nuisance) -> tuple[float, float, float]:
     """Log evidences of one mode: were its paint unknown; as of another body; and under another air."""
     ways = [(hill.scene, None), (existence.scene_unlike(hill), None), (scene_under(hill, other), mode.paint)]
-    afresh, unlike, elsewhere = hill.log_evidences_under(mode.one.fit.planes[None], ways, mode.one.fit.values[None])[
-        :, 0
-    ]
+    fit = mode.one.fit
+    afresh, unlike, elsewhere = hill.log_evidences_under(fit.planes[None], ways, fit.values[None])[:, 0]
     return float(afresh), float(unlike), float(elsewhere)
 
 
