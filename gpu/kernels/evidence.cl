@@ -8,6 +8,7 @@
 #define BUMPS 9
 #define LEAST_LIT 1e-4f
 #define LONGEST_STEP 1.5
+#define FIRM 1e8  // times the curvature of an unknown that is to go nowhere else
 #define STILL 1e-3  // nats that a step gains at the most when it is the last
 
 // Slots of pictures. Many unknowns are one picture times a number: even light and hidden sky share theirs, that of the
@@ -201,11 +202,10 @@ static float draw_model(const Scene s, const Room r, const int lit, const int co
     return weigh_stars(s, r, marks, stars);
 }
 
-// The upper half of J' W J + P, and J' W r - P (value - mean) into `move`.
-static void draw_normal(const Scene s, const Room r, const int lit, const int count, const Box body)
+// The upper half of J' W J + P, and J' W r - P (value - mean) into `move`, from the sums of products.
+static void draw_normal(const Scene s, const Room r, const int lit, const int count)
 {
     const int slots = s.first + lit, width = (count + EIGHT - 1) & -EIGHT;
-    products(r.products, slots, body, r.total);
     for (int i = 0; i < count; ++i) {
         __global double *row = r.normal + i * width;
         for (int j = 0; j < width; ++j) row[j] = 0.0;
@@ -236,17 +236,42 @@ static void draw_normal(const Scene s, const Room r, const int lit, const int co
     for (int i = count; i < width; ++i) r.move[i] = 0.0;
 }
 
-// One step of all unknowns. How much its linear model promises, nats.
-static double step(const Room r, const int lit, const int count, const int row)
+// Even light is no less than nothing, and no more of the sky is hidden than there is: whether a step takes unknown `k`
+// beyond its end, and the end. A sky that a body brightens would be light without a discrepancy.
+static bool leaves(const Room r, const int lit, const int k, double *end)
 {
-    double promised = 0.0;
+    const double there = r.value[k] + r.move[k];
+    *end = clamp(there, 0.0, k == lit + 2 ? 1.0 : DBL_MAX);
+    return *end != there;
+}
+
+// One step of all unknowns, those that would leave their range to its end and the others to their best with that. How
+// much its linear model promises, nats. False: not positive.
+static bool step(const Scene s, const Room r, const int lit, const int count, const int row, double *promised)
+{
     for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
+    if (!factorise(r.normal, count, row)) return false;
     solve(r.normal, count, row, r.move);
+    double end[2];
+    const bool firm[2] = {leaves(r, lit, lit + 1, end), leaves(r, lit, lit + 2, end + 1)};
+    if (firm[0] || firm[1]) {
+        draw_normal(s, r, lit, count);
+        for (int i = 0, k = lit + 1; i < 2; ++i, ++k)
+            if (firm[i]) {
+                r.normal[k * row + k] *= FIRM;
+                r.move[k] = r.normal[k * row + k] * (end[i] - r.value[k]);
+            }
+        if (!factorise(r.normal, count, row)) return false;
+        solve(r.normal, count, row, r.move);
+    }
+    *promised = 0.0;
     for (int k = 0; k < count; ++k) {
-        promised += 0.5 * r.pull[k] * r.move[k];
+        *promised += 0.5 * r.pull[k] * r.move[k];
         r.value[k] += k <= lit ? clamp(r.move[k], -LONGEST_STEP, LONGEST_STEP) : r.move[k];
     }
-    return promised;
+    r.value[lit + 1] = max(r.value[lit + 1], 0.0);
+    r.value[lit + 2] = clamp(r.value[lit + 2], 0.0, 1.0);
+    return true;
 }
 
 // A plane as the camera leaves it, zero where else `body` is: its tiles are read whole.
@@ -404,6 +429,18 @@ static void tell_normal(const Scene s, const Room r, const int count, const int 
     }
 }
 
+// The same of unknowns that a step would take beyond their ends: a pose near by does not move them, either.
+static void tell_firm(const Scene s, const Room r, const int lit, const int count, __global float *out)
+{
+    __global float *to = out + LANES + (4 + s.unknowns) * s.pixels + 2 * s.unknowns;
+    double end;
+    for (int k = lit + 1; k < lit + 3; ++k)
+        if (leaves(r, lit, k, &end)) {
+            to[k * count + k] *= (float)FIRM;
+            to[s.unknowns * s.unknowns + k] = 0.0f;
+        }
+}
+
 // For Gauss-Newton: count, and the box in which pictures are told; residual, weight, model, light; then in that box
 // every scaled picture; precision, deviation; last of all the numbers of the planes that are lit.
 static void tell(const Scene s, const Room r, const int lit, const int count, const Box body, __global float *out)
@@ -483,12 +520,15 @@ __kernel void evidence(
         float gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         bool sound = true, still = false;
         for (int round = 0; round < rounds && sound && !still; ++round) {
-            draw_normal(s, r, lit, count, body);
-            sound = factorise(r.normal, count, row);
-            if (sound) still = step(r, lit, count, row) < STILL;
+            products(r.products, s.first + lit, body, r.total);
+            draw_normal(s, r, lit, count);
+            double promised = 0.0;
+            sound = step(s, r, lit, count, row, &promised);
+            still = promised < STILL;
             gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         }
-        draw_normal(s, r, lit, count, body);
+        products(r.products, s.first + lit, body, r.total);
+        draw_normal(s, r, lit, count);
         if (details) tell_normal(s, r, count, row, details + pose * told_size(s));
         sound = factorise(r.normal, count, row);
         double logdet = 0.0, squares = 0.0;
@@ -509,7 +549,10 @@ __kernel void evidence(
         for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + 1] = r.scale[m];
         drawn[groups] = bright * (float)r.value[lit + 1] - hidden * (float)r.value[lit + 2];
         tell_values(s, r, lit, given_mean + (size_t)pose * every, values + (size_t)pose * s.unknowns);
-        if (details)
+        if (details) {
+            solve(r.normal, count, row, r.move);
+            tell_firm(s, r, lit, count, details + pose * told_size(s));
             tell(s, r, lit, count, body, details + pose * told_size(s));
+        }
     }
 }

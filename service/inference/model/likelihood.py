@@ -21,6 +21,8 @@ _T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)
 ROUNDS = 6  # of reweighting: a tolerance, the evidence moves by less than 0.1 nats after it
 LEAST_LIT = 1e-4  # of the Sun full on: a plane that shows less is left out
 _LONGEST_STEP = 1.5  # of a log albedo in one round
+_MOST = (np.inf, 1.0)  # of even light, and of the sky that is hidden
+_FIRM = 1e8  # times the curvature of an unknown that is to go nowhere else
 
 
 @dataclass(frozen=True)
@@ -236,9 +238,27 @@ class _Unknowns:
         weighted = flat * weight.ravel()
         normal = (weighted @ flat.T).astype(np.float64) + np.diag(self._precision)
         pull = (weighted @ residual.ravel()).astype(np.float64) - self._precision * (self.value - self._mean)
-        move = np.linalg.solve(normal, pull)
+        normal, firm_pull = self._firm(normal, pull)
+        move = np.linalg.solve(normal, firm_pull)
         move[: self._n + 1] = np.clip(move[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)
         self.value = self.value + move
+        shares = slice(self._n + 1, self._n + 3)
+        self.value[shares] = np.clip(self.value[shares], 0.0, _MOST)
+
+    def _firm(self, normal: Array, pull: Array) -> tuple[Array, Array]:
+        """Both, with unknowns that a step would take beyond the end of their range to go there, and no further.
+
+        Even light is no less than nothing, and no more of the sky is hidden than there is. A sky that a body brightens
+        would be light without a discrepancy.
+        """
+        there = self.value + np.linalg.solve(normal, pull)
+        normal, pull = normal.copy(), pull.copy()
+        for k, most in zip((self._n + 1, self._n + 2), _MOST, strict=True):
+            end = np.clip(there[k], 0.0, most)
+            if end != there[k]:
+                normal[k, k] *= _FIRM
+                pull[k] = normal[k, k] * (end - self.value[k])
+        return normal, pull
 
     def result(self) -> Fit:
         """The evidence where the steps ended."""
@@ -256,5 +276,6 @@ class _Unknowns:
         everywhere = slice(0, len(residual)), slice(0, len(residual))
         maps = nothing, residual, weight, model, light, everywhere, columns
         pull = flat @ (weight * residual).ravel().astype(np.float64) - self._precision * deviation
-        curvature = normal + np.diag(self._precision)
+        curvature, firm_pull = self._firm(normal + np.diag(self._precision), pull)
+        pull = np.where(firm_pull == pull, pull, 0.0)
         return Fit(nothing, evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull, unlit)

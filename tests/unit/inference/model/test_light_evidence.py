@@ -67,13 +67,14 @@ def hessian(function, x: np.ndarray, steps: np.ndarray) -> np.ndarray:
     return out
 
 
-def told(noise: float, off: float = 0.7) -> tuple[Terms, np.ndarray, float]:
+def told(noise: float, off: float = 0.7, shares: tuple[float, float] | None = None) -> tuple[Terms, np.ndarray, float]:
     """What the likelihood is told of a frame with this share of the noise that it believes in; frame and area.
 
-    ``off``: how far from their means the unknowns are, in their deviations.
+    ``off``: how far from their means the unknowns are, in their deviations; ``shares``: even light and hidden sky.
     """
     rng = np.random.default_rng(4)
     truth = MEANS + off * DEVIATIONS * np.array([1, -1, 0.5, 0.4, 1, -1, 0.5, 1])
+    truth[3:5] = truth[3:5] if shares is None else shares
     gain = np.exp(truth[2])
     image = np.tensordot([*gain * np.exp(truth[:2]), gain * truth[3] - HIDDEN * truth[4]], blurred(CORE), 1) + truth[5]
     image = image + noise * SIGMA * rng.normal(size=image.shape)
@@ -130,6 +131,36 @@ def test_the_evidence_is_the_integral_over_all_unknowns(noise):
     wanted = prior_height + log_weights.max() + np.log(np.mean(np.exp(log_weights - log_weights.max())))
     for name, found in light_evidence(terms).items():
         assert wanted - 0.15 * len(MEANS) * noise - 0.1 < found < wanted + 0.1, name
+
+
+@pytest.mark.parametrize("shares", [(-0.4, 0.3), (0.05, -0.8), (0.05, 1.5)])
+def test_no_body_brightens_the_sky_and_none_hides_more_than_there_is(shares, monkeypatch):
+    """Wherever the frame pulls them, shares stay in their range, all else at its best there."""
+    monkeypatch.setitem(globals(), "HIDDEN", 60.0)
+    terms, data, area = told(noise=0.0, off=0.1, shares=shares)
+    ranges = [(None, None)] * 8
+    ranges[3], ranges[4] = (
+        (-MEANS[3] / DEVIATIONS[3], None),
+        (-MEANS[4] / DEVIATIONS[4], (1 - MEANS[4]) / DEVIATIONS[4]),
+    )
+    step = 1e-4 * np.eye(8)
+
+    def cost(z: np.ndarray) -> np.ndarray:
+        return -log_joint(MEANS + DEVIATIONS * np.atleast_2d(z), data, area)
+
+    def slope(z: np.ndarray) -> np.ndarray:
+        return (cost(z + step) - cost(z - step)) / 2e-4
+
+    found = minimize(lambda z: cost(z)[0], np.zeros(8), jac=slope, bounds=ranges, tol=1e-9)
+    device, (details,) = lit_body().light.details(planes()[None], 2, terms, 20)
+    fit = fit_light(planes(), 2, terms, 20)
+    for values in (fit.values, device.values[0]):
+        assert -log_joint(values[None].astype(float), data, area)[0] < found.fun + 0.05
+        assert values[3] >= 0.0 and 0.0 <= values[4] <= 1.0
+    held = np.isclose(fit.values[3:5], np.round(fit.values[3:5]), rtol=0, atol=1e-5)
+    assert held.any()
+    for one in (fit, details):
+        assert (np.diag(one.normal)[3:5][held] > 1e6 / DEVIATIONS[3:5][held] ** 2).all()
 
 
 def test_what_is_known_of_albedos_is_their_prior_in_both_twins():
