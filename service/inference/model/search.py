@@ -178,14 +178,15 @@ def finished(
     hill = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
     some = scored(hill, some)
     nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
-    some = climbed(stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True), some, CLEAR, HOPELESS)
+    clear = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
+    some = climbed(clear, some, CLEAR, HOPELESS)
     some = scored(stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), some)
     some = some[: FINEST.kept]
     hill, nuisance = finest_hill(body, sight, some, nuisance, told)
     out = ascend(hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
     out.sort(key=lambda one: -one.log_posterior)
     out = [one for one in out if one.log_posterior > out[0].log_posterior - HOPELESS]
-    out += shaken(hill, out[0]) if shake else []
+    out += shaken(clear, hill, out[0]) if shake else []
     out.sort(key=lambda one: -one.log_posterior)
     kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG))
     return Found([out[k] for k in kept], hill, nuisance)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.inference.model.candidates import Candidates, distinct, joined, scored, searched_joints
-from service.inference.model.stages import CLEAR, FINEST
+from service.inference.model.stages import FINEST
 from service.inference.numerics.gauss_newton import ascend, within
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.pose import concatenate, retract
@@ -21,8 +21,11 @@ _TRIAL_STEPS = 2  # of the finest stage, of what is shaken
 _TURNS_DEG = (-90.0, -60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0, 180.0)  # by which joints are tried
 
 
-def shaken(hill: Hill, one: Refined) -> list[Refined]:
+def shaken(clear: Hill, hill: Hill, one: Refined) -> list[Refined]:
     """The best of what lies around a pose: what was flat while it was coarse is rough when it is fine.
+
+    ``clear``: where neighbours are chosen, which costs half; they climb on ``hill`` alone, where the pose was refined:
+    on a clear hill they end in other valleys.
 
     Some lie some degrees about it in every direction. More lie along its own covariance, widened: turn, place and size
     make up for each other, and such a valley may have several bottoms. Of others one joint is turned: its evidence has
@@ -38,9 +41,8 @@ def shaken(hill: Hill, one: Refined) -> list[Refined]:
     values, vectors = np.linalg.eigh(one.covariance)
     turn = np.sqrt(np.linalg.eigvalsh(one.covariance[:3, :3])[-1])
     along = along * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * (_ALONG_RAD / turn)
-    rough = replace(hill, quality=CLEAR.quality)  # good enough to choose
     kinds = (about, _ABOUT), (along, _ALONG), (turns_of_joints(hill, d), _TURNED)
-    near = joined([around(rough, one, steps)[:most] for steps, most in kinds if len(steps)])
+    near = joined([around(clear, one, steps)[:most] for steps, most in kinds if len(steps)])
     out = ascend(hill, near.poses, near.suns, steps=_TRIAL_STEPS, covariance="none")
     out = sorted(out, key=lambda tried: -tried.log_posterior)[:_SHAKEN_KEPT]
     out = [tried for tried in out if tried.log_posterior > one.log_posterior + _BETTER or apart(tried, one)]

@@ -117,12 +117,12 @@ def test_a_basin_beside_the_truth_is_left_by_shaking_and_the_truth_is_not():
     hill = rough_hill(sight_of(at))
     beside = retract(at, 0.35 * np.eye(7)[1:2])
     one = ascend(hill, beside, SUN[None], steps=1, covariance="last")[0]
-    best = max(shaken(hill, one), key=lambda found: found.log_posterior)
+    best = max(shaken(hill, hill, one), key=lambda found: found.log_posterior)
     assert best.log_posterior > one.log_posterior + 1.0
     assert off_deg(best.pose, at)[0] < off_deg(one.pose, at)[0]
     assert abs(best.pose.joints[0, 0]) <= 180.0
     top = ascend(hill, best.pose, best.sun[None], steps=20, covariance="last")[0]
-    assert all(found.log_posterior < top.log_posterior + 1.0 for found in shaken(hill, top))
+    assert all(found.log_posterior < top.log_posterior + 1.0 for found in shaken(hill, hill, top))
 
 
 def test_joints_are_found_with_it():
@@ -137,7 +137,7 @@ def test_a_panel_that_is_far_off_is_found_by_turning_it():
     hill = rough_hill(sight_of(at))
     off = replace(at, joints=at.joints + 62.0)
     one = ascend(hill, off, SUN[None], steps=1, covariance="last")[0]
-    best = max(shaken(hill, one), key=lambda found: found.log_posterior)
+    best = max(shaken(hill, hill, one), key=lambda found: found.log_posterior)
     assert half_turns(one.pose, at) > 20.0
     assert half_turns(best.pose, at) < 12.0  # to about its sigma
 
