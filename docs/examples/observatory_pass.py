@@ -59,7 +59,7 @@ async def watch(client: AsyncClient, session_id: str, count: int) -> None:
             print(f"--- {status}")
         best = estimate.best
         angles = f"{best.yaw_deg:7.1f} {best.pitch_deg:7.1f} {best.roll_deg:7.1f}"
-        print(f"{estimate.time}  {angles}  ± {estimate.spread.orientation_deg:.1f} deg, {len(estimate.modes)} modes")
+        print(f"{estimate.time}  {angles}  ± {estimate.spread.orientation_deg:.1f} deg, modes: {len(estimate.modes)}")
         if estimate.index + 1 == count:
             return
 

@@ -55,7 +55,7 @@ class BestPose(Pose):
 
 
 class Spread(Wire):
-    """Weighted standard deviations about the mean."""
+    """Standard deviations about a mean: of one mode, or of all particles; the field says which."""
 
     orientation_deg: float
     """Weighted RMS geodesic angle."""
@@ -69,7 +69,7 @@ class Spread(Wire):
 
 
 class FullSpread(Spread):
-    """With the covariance about the mean."""
+    """With the covariance about the same mean."""
 
     covariance: list[list[float]]
     covariance_order: list[str]

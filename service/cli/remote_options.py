@@ -29,6 +29,11 @@ def connected(url: str, key: str | None) -> Iterator[Client]:
         with warnings.catch_warnings(), Client(url, api_key=key) as client:
             warnings.showwarning = lambda message, *_: typer.secho(f"{url}: {message}", fg="yellow", err=True)
             yield client
+    except httpx.ConnectError as error:
+        typer.secho(
+            f"{url}: no service answers ({error}). skypose serve starts one; --url names another.", fg="red", err=True
+        )
+        raise typer.Exit(1) from error
     except (ClientError, httpx.TransportError) as error:
         typer.secho(f"{url}: {str(error) or type(error).__name__}", fg="red", err=True)
         raise typer.Exit(1) from error

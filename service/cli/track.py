@@ -92,7 +92,7 @@ def run_offline(offline: OfflinePass, as_json: bool) -> None:
     if as_json:
         typer.echo(orjson.dumps(summary.document()))
     else:
-        console.print(summary.line())
+        console.print(summary.line(), soft_wrap=True)
 
 
 def laid_over(sections: Mapping[str, Any], **given: Mapping[str, Any]) -> dict[str, Any]:

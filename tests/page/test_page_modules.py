@@ -71,6 +71,18 @@ def test_modes_that_differ_in_a_joint_say_so(answers):
     assert texts() == []
 
 
+def test_a_plots_range_is_of_what_is_drawn(answers):
+    def row(status: str, yaw: float, weight: float = 1.0) -> dict:
+        return {"status": status, "yaw": yaw, "modes": [{"weight": weight, "at": {"yaw": yaw}, "spread": {"yaw": 1}}]}
+
+    body = "return m.rangeOf(given, { key: 'yaw', pose: true, value: (row) => row.yaw })"
+    tracked = [row("tracking", 10), row("tracking", 20)]
+    assert answers("strip", body, tracked) == pytest.approx([9 - 0.96, 21 + 0.96])
+    gone = [row(status, 170) for status in ("lost", "no_fit", "no_target")]
+    assert answers("strip", body, gone + tracked) == answers("strip", body, tracked)
+    assert answers("strip", body, gone) == [0, 1]
+
+
 def test_what_is_known_of_the_sky_is_told(answers):
     rows = dict(answers("sky_readout", "return m.skyRows(given)", SKY))
     assert rows["Attitude, body to GCRF (w, x, y, z)"] == "1.0000, 0.0000, 0.0000, 0.0000"

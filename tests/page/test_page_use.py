@@ -11,7 +11,7 @@ import pytest
 from fake_worker import CUBE
 from passes import PNG, begin, fake_pass
 from playwright.sync_api import expect
-from watching import drop, open_session, shows, stage
+from watching import drop, open_session, picture_shows, shows, stage
 
 AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
 FRAMES = 3
@@ -145,6 +145,21 @@ def test_keyboard(server, sessions, open_page):
     expect(page.locator(f'[data-session="{other}"]')).not_to_have_attribute("aria-current", "true")
     page.keyboard.press("n")
     expect(page.get_by_role("dialog", name="New track")).to_be_visible()
+
+
+def test_the_models_image_is_that_of_the_frame_asked_for(server, sessions, open_page):
+    """Also where the frame's own picture is still on its way."""
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    shows(page, FRAMES - 1)
+    held = []
+    page.route("**/estimates/0/frame.png", lambda route: held.append(route))  # not answered yet
+    with page.expect_request("**/estimates/0/frame.png"):
+        page.keyboard.press("Home")
+    with page.expect_response("**/estimates/0/model.png"), page.expect_response("**/estimates/0/residual.png"):
+        page.keyboard.press("d")
+    for route in held:
+        route.continue_()
+    picture_shows(page, 0)
 
 
 def test_plots_tell_values_and_are_zoomed(server, sessions, open_page):

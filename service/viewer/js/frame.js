@@ -59,16 +59,17 @@ export class FrameView {
     this.options[name] = !this.options[name];
     if (name === "model") {
       this.wide(this.options.model);
-      if (this.shown) this.showBeside(this.shown);
+      if (this.wanted) this.showBeside(this.wanted);
     }
     this.request();
     return this.options[name];
   }
 
-  // tone: {gain, colours}: see tone.js. What is left over has colours of its own.
+  // tone: {gain, colours}: see tone.js. What is left over keeps the colours it has.
   setTone(tone) {
     Object.assign(this.tone, tone);
     for (const picture of [this.picture, this.beside[0]]) picture.setTone(this.tone);
+    this.beside[1].setTone({ ...this.tone, colours: COLOURS[0] });
     this.request();
   }
 
@@ -90,6 +91,7 @@ export class FrameView {
   }
 
   show(estimate) {
+    this.wanted = estimate; // `shown` once its picture is there
     this.picture.show(estimate);
     this.showBeside(estimate);
   }

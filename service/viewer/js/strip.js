@@ -121,12 +121,17 @@ export class Strip {
   }
 }
 
+// Whether the plot leaves a row's pose out: nothing is held to be there as the model says.
+function isGone(row, spec) {
+  return Boolean(spec.pose) && GONE.includes(row.status);
+}
+
 // [time, best, upper and lower edge of the band, what is compared]; null breaks a line: a track that is lost.
 function columns({ rows, origin }, spec) {
   const known = (value) => (Number.isFinite(value) ? value : null);
   const found = [rows.map((row) => row.time - origin), [], [], [], []];
   for (const row of rows) {
-    const gone = spec.pose && GONE.includes(row.status), mode = row.modes[0];
+    const gone = isGone(row, spec), mode = row.modes[0];
     const [middle, spread] = spec.key && mode && !gone ? [mode.at[spec.key], mode.spread[spec.key]] : [];
     found[1].push(gone ? null : known(spec.value(row)));
     found[2].push(known(middle + spread));
@@ -147,6 +152,7 @@ function turnGaps(plot, k, first, last, gaps) {
   return gaps.sort((a, b) => a[0] - b[0]);
 }
 
+// Of what is drawn.
 export function rangeOf(rows, spec) {
   let [low, high] = [Infinity, -Infinity];
   const take = (value) => {
@@ -155,8 +161,9 @@ export function rangeOf(rows, spec) {
     high = Math.max(high, value);
   };
   for (const row of rows) {
-    take(spec.value(row));
     take(spec.other?.(row));
+    if (isGone(row, spec)) continue;
+    take(spec.value(row));
     for (const [rank, mode] of (spec.key ? row.modes : []).entries()) {
       const spread = rank === 0 ? mode.spread[spec.key] : 0;
       if (mode.weight < LEAST_WEIGHT) continue;
@@ -174,7 +181,7 @@ function drawOthers(context, rows, spec, x, y) {
   const size = 2 * uPlot.pxRatio;
   for (const row of rows) {
     row.modes.forEach((mode, rank) => {
-      if (rank === 0 || mode.weight < LEAST_WEIGHT) return;
+      if (rank === 0 || mode.weight < LEAST_WEIGHT || isGone(row, spec)) return;
       context.globalAlpha = 0.25 + 0.75 * mode.weight;
       context.fillStyle = modeColour(rank);
       context.fillRect(x(row) - size / 2, y(mode.at[spec.key]) - size / 2, size, size);
