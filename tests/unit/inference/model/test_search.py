@@ -95,7 +95,7 @@ def test_a_track_is_shaken_though_the_templates_missed_it(monkeypatch):
     at = truth(4, False)
     few = Bank(bank(False).suns[:9], bank(False).poses[:9], bank(False).pictures[:, :9])
     shaken_poses = []
-    monkeypatch.setattr(searching, "shaken", lambda hill, one: shaken_poses.append(one.pose) or [])
+    monkeypatch.setattr(searching, "shaken", lambda clear, hill, one: shaken_poses.append(one.pose) or [])
     found = search(body(False), sight_of(at), few, TOLD, held=held_at(at))
     assert off_deg(found.basins[0].pose, at) < 2.0
     assert off_deg(shaken_poses[0], at) < 2.0
