@@ -35,6 +35,9 @@ LISTEN_QUEUE = 2048  # connections that the kernel keeps until then
 PROBE_CONNECTIONS = 32  # beyond the limit, where only probes are answered
 OWN_HANDLES = 128  # the database, pipes to the workers, files of the page
 HEAD_SOON_S = 1.0  # for a new connection to say what it wants before one that was of use gives way to it
+# For the next call on a connection. Longer than clients and proxies keep theirs (httpx 5 s, nginx 60 s, Caddy 120 s):
+# with equal times a call is sent into a connection that ends. One that waits costs a handle, and gives way to a new one.
+KEEP_ALIVE_S = 150
 LINGER_S = 5.0  # for an answer to be read before the connection is cut; nginx waits so long (lingering_timeout)
 
 
@@ -258,7 +261,13 @@ def connection_limit(settings: Settings) -> int:
 def server_config(app: FastAPI, **options: Any) -> uvicorn.Config:
     """What uvicorn needs to serve the application behind this door."""
     config = uvicorn.Config(
-        app, log_config=None, server_header=False, backlog=ACCEPTED_AT_ONCE, ws_max_size=1 << 16, **options
+        app,
+        log_config=None,
+        server_header=False,
+        backlog=ACCEPTED_AT_ONCE,
+        ws_max_size=1 << 16,
+        timeout_keep_alive=KEEP_ALIVE_S,
+        **options,
     )
     proxies = ProxyHeadersMiddleware(cast(Any, app), config.forwarded_allow_ips).trusted_hosts
     door = Door(app.state.services, lambda address: address in proxies)

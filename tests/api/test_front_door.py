@@ -244,3 +244,10 @@ def test_connections_leave_handles_for_the_rest(monkeypatch):
     assert door.connection_limit(Settings(database_url="postgresql+psycopg://there/it")) == 424
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, 4096))
     assert door.connection_limit(Settings()) == Settings().max_connections
+
+
+async def test_a_connection_waits_longer_for_its_next_call_than_clients_keep_theirs(make_app):
+    """Else a call is now and then sent into one that is just ending, and is lost."""
+    clients = httpx.AsyncHTTPTransport()._pool._keepalive_expiry
+    assert clients is not None
+    assert door.server_config(make_app()).timeout_keep_alive > 2 * clients

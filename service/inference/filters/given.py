@@ -78,4 +78,4 @@ class Updated:
     log_chi2: Array  # (2,)
     log_light: float
     log_evidence: float  # of this body against the empty sky, by the power that evidence between hypotheses counts
-    is_new: bool  # whether the leader was born now
+    n_followed: int  # K

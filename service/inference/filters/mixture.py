@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.inference.filters.answer import drawn, estimate_of, unseen
 from service.inference.filters.given import Given, Predicted, Updated
-from service.inference.filters.status import status_of, told_existence
+from service.inference.filters.status import one_answer, status_of, told_existence
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import Candidates
@@ -147,9 +147,13 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     return ascend(hill, poses, ahead.suns, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
 
 
-def missed_by(before: Mixture, updated: Updated) -> bool:
-    """Whether earlier searches are now known to have missed the truth; what was out of sight may be anywhere."""
-    return updated.is_new and bool(before.existence[existence.ABSENT] < 0.5)
+def is_another(updated: Updated, given: Given) -> bool:
+    """Whether the leader is an answer that no mode had: one that was born beside a mode that it betters is not."""
+    lead, n = int(np.argmax(updated.log_weights)), updated.n_followed
+    if lead < n or n == 0:
+        return lead >= n
+    poses = [one.pose for one in updated.refined]
+    return not one_answer(poses[lead], concatenate(*poses[:n]), given.twins, given.domain).any()
 
 
 def prune(updated: Updated, before: Mixture | None, found: Found | None, given: Given, hill: Hill) -> Mixture:
@@ -164,6 +168,10 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         elif len(kept) < MOST_MODES and log_weights[k] > np.log(_LEAST):
             kept.append(int(k))
     chosen = log_weights[kept] - np.logaddexp.reduce(log_weights[kept])
+    another = is_another(updated, given)
+    searches, misses = (0, 0) if before is None else (before.searches, before.misses)
+    if another and before is not None and before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
+        misses += searches  # are now known to have missed the truth
     mixture = Mixture(
         poses=concatenate(*[updated.refined[k].pose for k in kept]),
         rates=updated.rates[kept],
@@ -179,8 +187,8 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         log_light=updated.log_light,
         span_px=hill.view.side * hill.view.binning / 1.6,
         ever_tracked=before is not None and before.ever_tracked,
-        searches=(0 if before is None or updated.is_new else before.searches) + (found is not None),
-        misses=0 if before is None else before.misses + (before.searches if missed_by(before, updated) else 0),
+        searches=(0 if another else searches) + (found is not None),
+        misses=misses,
         since_search=0 if found is not None or before is None else before.since_search + 1,
     )
     status = status_of(mixture, given.twins, given.domain)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.domain import Domain
 from service.inference.model import existence
 from service.inference.pose import angle_between
-from service.inference.state import Array, Mixture
+from service.inference.state import Array, Mixture, Poses
 from service.inference.symmetry import Symmetry, twin
 
 SURE = 0.9  # probability from which on an answer is told as one (the contract's)
@@ -38,9 +39,14 @@ def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> st
 def leading_share(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> float:
     """Probability of the heaviest mode and of its symmetry-equivalents."""
     lead = int(np.argmax(mixture.log_weights))
-    best = mixture.poses[lead : lead + 1]
-    same = [best, *(domain.wrap(twin(best, one)) for one in twins if one.kind == "rotation")]
-    quaternion = np.concatenate([one.quaternion for one in same])
-    near = np.rad2deg(angle_between(mixture.poses.quaternion[:, None], quaternion[None]).min(axis=1)) < _EQUIVALENT_DEG
-    near[lead] = True
-    return float(np.exp(mixture.log_weights[near]).sum())
+    same = one_answer(mixture.poses[lead : lead + 1], mixture.poses, twins, domain)
+    same[lead] = True
+    return float(np.exp(mixture.log_weights[same]).sum())
+
+
+def one_answer(pose: Poses, others: Poses, twins: Sequence[Symmetry], domain: Domain) -> NDArray[np.bool_]:
+    """(N,) which of N poses turn the body as a batch of one does, or as one that cannot be told from it."""
+    alike = [pose, *(domain.wrap(twin(pose, one)) for one in twins if one.kind == "rotation")]
+    quaternion = np.concatenate([one.quaternion for one in alike])
+    apart = np.rad2deg(angle_between(others.quaternion[:, None], quaternion[None]).min(axis=1))
+    return np.asarray(apart < _EQUIVALENT_DEG)

@@ -58,8 +58,7 @@ def weigh(
         level = lead.log_weight - prior.EVIDENCE_TRUST * alone
     new = newborn(refined, found, given.domain.wrapping)
     modes += [born(one, level, len(new), noise, given.domain) for one in new]
-    lead_number = int(np.argmax([mode.log_weight for mode in modes]))
-    best = modes[lead_number]
+    best = max(modes, key=lambda mode: mode.log_weight)
     if best is not lead:
         looks = looks_at(best, hill, other)
     afresh, unlike, elsewhere = looks
@@ -80,7 +79,7 @@ def weigh(
         log_chi2=existence.usual_chi2(known, best.one.fit.chi2, fits),
         log_light=light,
         log_evidence=prior.EVIDENCE_TRUST * (explained - absent),
-        is_new=lead_number >= len(refined),
+        n_followed=len(refined),
     )
 
 

@@ -14,7 +14,7 @@ from service.imaging.patch import Light
 from service.inference.domain import Domain
 from service.inference.filters.answer import drawn
 from service.inference.filters.given import Given
-from service.inference.filters.mixture import search_due, step
+from service.inference.filters.mixture import is_another, search_due, step
 from service.inference.filters.status import SURE, status_of, told_existence
 from service.inference.filters.weighing import born
 from service.inference.model import prior
@@ -240,6 +240,24 @@ def test_a_wide_basin_is_worth_no_more_beside_a_track_than_a_narrow_one():
 def test_a_track_that_no_search_could_better_is_searched_ever_more_seldom():
     due = [search_due(replace(mixture(searches=n), since_search=k)) for n in (1, 3, 4, 5) for k in (0, 1, 2, 8)]
     assert due == [True] * 4 + [False, False, True, True] + [False, False, False, True] + [False] * 4
+
+
+def test_a_basin_near_a_mode_that_it_betters_is_no_other_answer():
+    """A joint that a glint puts right: earlier searches have not missed the truth, so the track is not doubted."""
+    here, there = truth(0), retract(truth(0), np.deg2rad([[30.0, 0, 0, 0, 0, 0]]))
+    close = retract(truth(0), np.deg2rad([[3.0, 0, 0, 0, 0, 0]]))
+
+    def another(poses: list[Poses], n_followed: int) -> bool:
+        refined = [SimpleNamespace(pose=pose) for pose in poses]
+        leads_last = np.arange(len(poses), dtype=float)
+        return is_another(
+            SimpleNamespace(refined=refined, log_weights=leads_last, n_followed=n_followed), given(frame(0), 0)
+        )
+
+    assert not another([there, here], 2)  # followed
+    assert not another([here, close], 1)
+    assert another([here, there], 1)
+    assert another([here], 0)
 
 
 def test_what_searches_have_missed_before_and_what_fits_no_more_is_searched_more_often():
