@@ -36,7 +36,7 @@ PROBE_CONNECTIONS = 32  # beyond the limit, where only probes are answered
 OWN_HANDLES = 128  # the database, pipes to the workers, files of the page
 HEAD_SOON_S = 1.0  # for a new connection to say what it wants before one that was of use gives way to it
 # For the next call on a connection. Longer than clients and proxies keep theirs (httpx 5 s, nginx 60 s, Caddy 120 s):
-# with equal times a call is sent into a connection that ends. One that waits costs a handle, and gives way to a new one.
+# with equal times a call is sent into a connection that ends. One that waits costs a handle, and gives way to others.
 KEEP_ALIVE_S = 150
 LINGER_S = 5.0  # for an answer to be read before the connection is cut; nginx waits so long (lingering_timeout)
 
