@@ -35,7 +35,7 @@ from service.workers.lit_frame import LightOfFrame, region_of
 from service.workers.panels import sun_tracking
 from service.workers.smoothing import with_rates
 
-_BANKS, _BANK_BYTES = 8, 1 << 29  # 90 MB each, 280 of a body with two joints
+_BANKS, _BANK_BYTES = 8, 1 << 28  # 23 MB each, 70 of a body with two joints
 _SAME_SUN_RAD = 0.05  # templates 12 degrees apart do not feel it
 _ANY_SUN_RAD = 1.0  # what is believed of a Sun that is not told: it is searched
 

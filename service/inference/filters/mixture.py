@@ -100,7 +100,7 @@ def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted |
     moved, equivalents = None if before is None else rng, alike if given.twins else None
     look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
     held = None if ahead is None else Candidates(ahead.poses, ahead.suns, ahead.log_weights)
-    shake = before is not None and before.searches == 1  # once, and not where a first answer waits for it
+    shake = before is None or (before.searches == 1 and before.misses > 0)  # what leads, once
     return search(*look, moved, equivalents, shake=shake, held=held)
 
 

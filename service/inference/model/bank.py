@@ -17,10 +17,10 @@ from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
 
-_SHIFTS_PX = (-2.0, 0.0, 2.0)
+_SHIFTS_PX = (-1.0, 0.0, 1.0)
 _SCALES = (0.72, 0.85, 1.0, 1.18, 1.39)
 _DRAFT = Quality(supersample=1, shadow_px=64, gloss=())
-_PICTURE = Quality(supersample=2, shadow_px=128, gloss=())
+_PICTURE = Quality(supersample=3, shadow_px=128, gloss=())
 _LIT_SHARES = (0.0, 0.08, 0.3)  # of the brighter light: lit from here on
 _FLOOR_SIGMAS = 2.5
 _DARK_SIGMAS = 6.0

@@ -18,12 +18,12 @@ from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
 
-SIDE = 32
+SIDE = 16
 KINDS = ("light", "root", "lit", "edges", "outline")
-_RIM_PX = 7.5  # root mean square distance of lit pixels from their middle, in a template
+_RIM_PX = 3.75  # root mean square distance of lit pixels from their middle, in a template
 _FIRST_SIDE = 24  # of the draft from which the moments are taken
 _LIT = 0.08  # of the brighter light: lit from here on
-_BLUR_PX = 1.0  # of the pictures: rotations lie 12 degrees apart
+_BLUR_PX = 0.5  # of the pictures: rotations lie 12 degrees apart
 """Numerical: sizes of the pictures. None of them decides between poses; what follows the bank does."""
 
 

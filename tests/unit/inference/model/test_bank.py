@@ -106,7 +106,7 @@ def test_pictures_have_no_mean_and_unit_length():
 
 def test_kinds_do_not_follow_the_gain():
     light = np.zeros((2, SIDE, SIDE), np.float32)
-    light[:, 8:24, 10:20] = np.random.default_rng(1).uniform(0.3, 1.0, (2, 16, 10))
+    light[:, 4:12, 5:10] = np.random.default_rng(1).uniform(0.3, 1.0, (2, 8, 5))
     outline = (light > 0).astype(np.float32)
     one, other = kinds_of(light, outline), kinds_of(700 * light, outline)
     assert one.shape == (len(KINDS), 2, SIDE * SIDE)
@@ -116,10 +116,10 @@ def test_kinds_do_not_follow_the_gain():
 
 def test_edges_are_where_light_changes():
     light = np.zeros((1, SIDE, SIDE), np.float32)
-    light[:, :, 16:] = 1.0
+    light[:, :, SIDE // 2 :] = 1.0
     edges = kinds_of(light, light)[KINDS.index("edges")].reshape(SIDE, SIDE)
-    assert set(np.argmax(edges, axis=1)) <= {15, 16}
-    assert edges[:, :10].max() < edges[:, 15].min()
+    assert set(np.argmax(edges, axis=1)) <= {SIDE // 2 - 1, SIDE // 2}
+    assert edges[:, : SIDE // 4].max() < edges[:, SIDE // 2 - 1].min()
 
 
 def test_templates_are_of_one_size_and_in_the_middle():
@@ -132,7 +132,7 @@ def test_templates_are_of_one_size_and_in_the_middle():
     seen = light.max(axis=(1, 2)) > 0.2
     middle, rim = lit_moments(light[seen])
     assert np.median(np.abs(middle - SIDE / 2)) < 0.7
-    assert np.median(rim) == pytest.approx(7.5, rel=0.1)
+    assert np.median(rim) == pytest.approx(SIDE / 32 * 7.5, rel=0.1)
 
 
 @pytest.mark.parametrize("k", [3, 77, 180, 301])
