@@ -20,7 +20,8 @@ _EQUIVALENT_DEG = 5.0
 def told_existence(mixture: Mixture) -> Array:
     """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body."""
     absent, fits, no_fit = mixture.existence
-    kept = fits * (1 - existence.missed(mixture.searches, mixture.misses)) * existence.of_this_body(mixture.discrepancy)
+    met = 1 - existence.missed(mixture.searches, mixture.misses)
+    kept = fits * met * existence.of_this_body(mixture.discrepancy, mixture.log_chi2)
     return np.array([absent, kept, no_fit + fits - kept])
 
 

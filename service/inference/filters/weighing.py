@@ -77,7 +77,7 @@ def weigh(
         existence=probabilities,
         nuisance=other if elsewhere + log_prior(other) > best.one.fit.log_evidence + log_prior(nuisance) else nuisance,
         log_chi2=existence.usual_chi2(known, best.one.fit.chi2, fits),
-        log_light=light,
+        log_light=existence.usual_light(None if before is None else before.log_light, light, fits),
         log_evidence=prior.EVIDENCE_TRUST * (explained - absent),
         n_followed=len(refined),
     )
@@ -134,15 +134,16 @@ def hypotheses(
     """(3,) probabilities of ``model.existence``, as if the truth were among the modes.
 
     ``evidences``: logs of the sky's alone, of the best mode were its paint unknown, and as of another body. Light that
-    asks for other paint than the body has is explained by something that is between, or by another body.
+    asks for other paint than the body has, or goes out, is explained by something that is between, or by another body.
     """
     start = existence.expected(None, 0.0) if ahead is None else ahead.existence
     fit = best.one.fit
     usual = existence.log_of_change(None if before is None else before.log_light, light)
     absent, afresh, unlike = evidences
-    fits, other_paint = (log + best.occam + usual for log in (fit.log_evidence, afresh))
-    logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, unlike + best.occam, other_paint)])
-    logs[[existence.FITS, existence.NO_FIT]] += existence.log_chi2_densities(fit.chi2, usual_chi2)
+    fits = fit.log_evidence + best.occam + usual
+    between = max(fit.log_evidence, afresh, unlike) + best.occam
+    logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, between)])
+    logs[existence.NO_FIT] += existence.log_of_disturbance(fit.chi2, usual_chi2)
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
 
 

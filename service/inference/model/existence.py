@@ -49,23 +49,24 @@ def log_of_change(before: float | None, now: float) -> float:
     return float(np.log(prior.GAIN_SIGMA / prior.FADES)) - 0.5 * ((now - before) / prior.FADES) ** 2
 
 
-def log_chi2_densities(chi2: float, level: Array) -> Array:
-    """(2,) log densities of the mean square that is left over: where the body fits, and where it does not.
+def usual_light(before: float | None, now: float, fits: float) -> float:
+    """Log of the light that is expected next: what it was, or where this is not the body's it is slowly doubted."""
+    return now if before is None or fits >= 0.5 else before + (1 - prior.PAINT_DOUBTED) * (now - before)
 
-    It does not where it is another body, or where something has come between: then more is left over than this body
-    has left until now (``level``, mean and variance of its log; Student t with 4 degrees of freedom).
+
+def log_of_disturbance(chi2: float, level: Array) -> float:
+    """Log density of the mean square that is left over where something has come between, over that of where this body
+    fits: then no more is left than it has left until now (``level``, mean and variance of its log).
+
+    A Student t with 4 degrees of freedom about the level; better is no less usual, worse no less a disturbance.
     """
     at = float(np.log(max(chi2, 1e-3)))
-    laws = np.array([prior.LOG_CHI2, prior.LOG_CHI2_UNLIKE])
-    away = (at - laws[:, 0]) / laws[:, 1]
-    away = np.array([max(away[0], 0.0), min(away[1], 0.0)])  # better is no less this body's, worse no less another's
-    fits, unlike = -0.5 * away**2 - np.log(laws[:, 1])
-    variance = level[1] + prior.LOG_CHI2_JITTER**2
-    usual = -2.5 * np.log1p(max(at - level[0], 0.0) ** 2 / (4 * variance)) - 0.5 * np.log(variance)
+    mean, variance = level[0], level[1] + prior.LOG_CHI2_JITTER**2
+    usual = -2.5 * np.log1p(max(at - mean, 0.0) ** 2 / (4 * variance)) - 0.5 * np.log(variance)
     rise, sigma = prior.LOG_CHI2_DISTURBED
     sigma = float(np.hypot(sigma, np.sqrt(level[1])))
-    disturbed = -0.5 * min((at - level[0] - rise) / sigma, 0.0) ** 2 - np.log(sigma)
-    return np.array([fits, max(unlike, fits + disturbed - usual)])
+    disturbed = -0.5 * min((at - mean - rise) / sigma, 0.0) ** 2 - np.log(sigma)
+    return float(disturbed - usual)
 
 
 def usual_chi2(before: Array | None = None, chi2: float = 1.0, fits: float = 0.0) -> Array:
@@ -92,17 +93,35 @@ def missed(searches: int, misses: int = 0) -> float:
     return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
 
 
-def of_this_body(discrepancy: float) -> float:
-    """Probability that the model is the body's, by the discrepancy that its frames ask for.
+def of_this_body(discrepancy: float, level: Array) -> float:
+    """Probability that the model is the body's, by the discrepancy that its frames ask for and by the ``level`` of what
+    it leaves over.
 
-    It is the same in all frames, so it counts once, and not frame after frame.
+    Both are the same in all frames, so they count once, and not frame after frame.
     """
     above = float(np.log(discrepancy / prior.DISCREPANCY_OWN))
     own = -0.5 * (above / prior.DISCREPANCY_OWN_LOG_SIGMA) ** 2 + float(np.log(2 / prior.DISCREPANCY_OWN_LOG_SIGMA))
     mean, sigma = prior.DISCREPANCY_UNLIKE
     other = -0.5 * ((float(np.log(discrepancy / mean))) / sigma) ** 2 - float(np.log(sigma))
     _, fits, no_fit = prior.EXISTENCE
-    return float(1 / (1 + no_fit / fits * np.exp(other - own)))
+    return float(1 / (1 + no_fit / fits * np.exp(other - own - _log_odds_of_level(level))))
+
+
+def _log_odds_of_level(level: Array) -> float:
+    """Log density of what frames say of a level under this body's own mesh, over that under another's.
+
+    What they say is the Gaussian that makes ``level`` of the prior.
+    """
+    mean, sigma = prior.LOG_CHI2
+    precision = 1 / level[1] - 1 / sigma**2
+    if precision <= 0:
+        return 0.0
+    at, variance = (level[0] / level[1] - mean / sigma**2) / precision, 1 / precision
+    own, other = (
+        -0.5 * (at - m) ** 2 / (s**2 + variance) - 0.5 * np.log(s**2 + variance)
+        for m, s in (prior.LOG_CHI2_OWN, prior.LOG_CHI2_UNLIKE)
+    )
+    return float(own - other)
 
 
 def goodness(hill: Hill, fit: Fit) -> Goodness:

@@ -84,5 +84,18 @@ def test_the_level_of_what_is_left_over_is_learnt_from_frames_that_fit():
         level = existence.usual_chi2(level, 0.3, 0.95)
     assert np.isclose(level[0], np.log(0.3), atol=0.1) and level[1] < 0.1
     assert existence.usual_chi2(level, 30.0, 0.2)[0] == level[0]  # a frame that does not fit teaches nothing
-    calm, cloud = (existence.log_chi2_densities(chi2, level) for chi2 in (0.3, 12.0))
-    assert calm[0] > calm[1] and cloud[1] > cloud[0]
+    assert existence.log_of_disturbance(0.3, level) < 0 < existence.log_of_disturbance(12.0, level)
+
+
+def test_light_that_is_not_the_bodys_is_no_measure_of_it_but_what_was_known_is_slowly_doubted():
+    assert existence.usual_light(None, 5.0, 0.1) == existence.usual_light(9.0, 5.0, 0.6) == 5.0
+    light = 9.0
+    for _ in range(40):
+        light = existence.usual_light(light, 5.0, 0.1)
+    assert 5.0 < light < 5.1 and existence.usual_light(9.0, 5.0, 0.1) > 8.5
+
+
+def test_a_level_of_which_frames_say_nothing_tells_no_body_from_another():
+    nothing = existence.usual_chi2()
+    told = existence.of_this_body(prior.DISCREPANCY_OWN, nothing)
+    assert told == existence.of_this_body(prior.DISCREPANCY_OWN, nothing * [1.0, 2.0])  # less than nothing

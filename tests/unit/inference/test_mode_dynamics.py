@@ -99,17 +99,21 @@ def left_over(values) -> np.ndarray:
 
 
 def test_what_is_left_over_tells_this_body_from_another():
-    level = existence.usual_chi2()
-    ratios = [np.subtract(*existence.log_chi2_densities(chi2, level)) for chi2 in (0.0, 0.5, 2.0, 10.0, 50.0, 1e6)]
-    assert ratios == sorted(ratios, reverse=True) and ratios[1] > 1.0 and ratios[-2] < -5.0
+    """By the level of a pass: it counts once, however many frames say the same."""
+    told = [existence.of_this_body(0.03, left_over([chi2] * 8)) for chi2 in (0.1, 0.5, 2.0, 10.0, 50.0)]
+    assert told == sorted(told, reverse=True) and told[1] > 0.95 and told[-1] < 0.1
+    few, many = (np.log(1 / existence.of_this_body(0.03, left_over([10.0] * n)) - 1) for n in (2, 30))
+    assert abs(many - few) < 0.5
 
 
 def test_a_body_that_left_little_over_is_disturbed_by_what_is_usual_for_another():
     """Sevenfold is a cloud where frames scatter by a third; where so much is usual, it says nothing."""
     clean, rough = (left_over([level * f for f in (1.0, 1.3, 0.8, 1.1)]) for level in (0.3, 2.1))
-    assert np.subtract(*existence.log_chi2_densities(2.1, clean)) < -1.5
-    assert np.subtract(*existence.log_chi2_densities(2.1, rough)) > -0.5
-    assert np.subtract(*existence.log_chi2_densities(0.35, clean)) > 1.0
+    assert existence.log_of_disturbance(2.1, clean) > 1.5
+    assert existence.log_of_disturbance(2.1, rough) < 0.5
+    assert existence.log_of_disturbance(0.35, clean) < -1.0
+    ratios = [existence.log_of_disturbance(chi2, clean) for chi2 in (0.0, 0.5, 2.0, 10.0, 50.0, 1e6)]
+    assert ratios == sorted(ratios)
 
 
 def test_a_level_is_learnt_from_frames_that_fit_and_outliers_move_it_little():
