@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from service.api.schemas import Estimate, Pose
+from service.api.schemas import Estimate, Joint, Pose
 from service.inference.pose import conjugate, log_so3, multiply, rotation_matrices
 from service.inference.state import Array
 from service.remote.calls import Arrays
@@ -61,10 +61,11 @@ def orientation_figure(estimate: Estimate, particles: Arrays) -> Figure:
     return figure
 
 
-def corner_figure(estimate: Estimate, particles: Arrays) -> Figure:
-    """Every pair of the pose's coordinates about the best pose, weighted, and each alone."""
+def corner_figure(estimate: Estimate, particles: Arrays, joints: Sequence[Joint]) -> Figure:
+    """Every pair of the pose's coordinates about the best pose, weighted, and each alone. ``joints``: the model's."""
     values = _about(estimate.best, particles)
-    names = [*_POSE, *particles["joint_names"].tolist()]
+    units = {joint.name: "deg" if joint.kind == "revolute" else "model units" for joint in joints}
+    names = [*_POSE, *(f"{name}, {units[name]}" for name in particles["joint_names"].tolist())]
     count = len(names)
     figure = Figure(figsize=(1.7 * count, 1.7 * count), layout="constrained")
     panels: Any = figure.subplots(count, count, squeeze=False, sharex="col")

@@ -30,11 +30,13 @@ def plot(
     with connected(url, key) as client:
         estimate = client.estimate(session, index)
         particles = client.particles(session, estimate.index)
+        told = client.session(session)
+        models = [client.model(one) for one in told.model_ids or [told.model_id] if one]
         filtered, smoothed = list(client.estimates(session)), list(client.estimates(session, smoothed=True))
     out.mkdir(parents=True, exist_ok=True)
     figures = {
         "orientation.png": orientation_figure(estimate, particles),
-        "corner.png": corner_figure(estimate, particles),
+        "corner.png": corner_figure(estimate, particles, [joint for model in models for joint in model.joints]),
         "residuals.png": residual_figure(filtered, smoothed),
     }
     for name, figure in figures.items():

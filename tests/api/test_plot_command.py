@@ -33,8 +33,12 @@ async def test_a_session_becomes_three_figures(make_app, tmp_path):
         for name in ("orientation.png", "corner.png", "residuals.png"):
             assert np.ptp(cv2.imread(str(tmp_path / name))) == 255
         with Client(url) as client:
-            estimate, particles = await asyncio.to_thread(
-                lambda: (client.estimate(session_id), client.particles(session_id))
+            estimate, particles, joints = await asyncio.to_thread(
+                lambda: (
+                    client.estimate(session_id),
+                    client.particles(session_id),
+                    client.model(client.session(session_id).model_id).joints,
+                )
             )
     best = estimate.best.model_copy(update={"orientation": estimate.best.orientation.model_copy(update=UPRIGHT)})
     alone = {name: value[:1] if value.ndim and name != "joint_names" else value for name, value in particles.items()}
@@ -47,7 +51,9 @@ async def test_a_session_becomes_three_figures(make_app, tmp_path):
     np.testing.assert_allclose(rings, [(0, 0), (np.pi / 2, 0), (0, np.pi / 2)], atol=1e-12)
     assert [text.get_text() for text in panel.texts] == ["x", "y", "z"]
     assert all(line.get_markerfacecolor() == "none" for line in panel.lines[-3:])  # the particles within are seen
-    drawn = corner_figure(here, alone).axes[0].patches
+    corner = corner_figure(here, alone, joints)
+    assert corner.axes[-1].get_xlabel() == f"{joints[0].name}, deg"
+    drawn = corner.axes[0].patches
     (bar,) = [patch for patch in drawn if patch.get_height()]
     assert bar.get_x() <= 4.0 <= bar.get_x() + bar.get_width()
     residuals = residual_figure([estimate], [estimate]).axes
