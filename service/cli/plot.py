@@ -31,7 +31,7 @@ def plot(
         estimate = client.estimate(session, index)
         particles = client.particles(session, estimate.index)
         told = client.session(session)
-        models = [client.model(one) for one in told.model_ids or [told.model_id] if one]
+        models = [client.model(one) for one in [told.model_id, *(told.model_ids or ())] if one is not None]
         filtered, smoothed = list(client.estimates(session)), list(client.estimates(session, smoothed=True))
     out.mkdir(parents=True, exist_ok=True)
     figures = {
