@@ -71,7 +71,7 @@ class Mixture:
     point_spread: Array  # (2,) s and w, frame px
     discrepancy: float  # tau
     log_chi2: Array  # (2,) mean and variance of the log of what the body leaves over
-    log_light: float  # of the body's whole light when it was last seen, counts
+    log_light: float  # of the body's whole light, counts, as it was when it last fitted; then slowly doubted
     span_px: float  # of the patch, frame px
     ever_tracked: bool
     searches: int  # that could not better the leader, one after the other

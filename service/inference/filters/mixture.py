@@ -150,10 +150,10 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
 def is_another(updated: Updated, given: Given) -> bool:
     """Whether the leader is an answer that no mode had: one that was born beside a mode that it betters is not."""
     lead, n = int(np.argmax(updated.log_weights)), updated.n_followed
-    if lead < n or n == 0:
-        return lead >= n
+    if lead < n:
+        return False
     poses = [one.pose for one in updated.refined]
-    return not one_answer(poses[lead], concatenate(*poses[:n]), given.twins, given.domain).any()
+    return n == 0 or not one_answer(poses[lead], concatenate(*poses[:n]), given.twins, given.domain).any()
 
 
 def prune(updated: Updated, before: Mixture | None, found: Found | None, given: Given, hill: Hill) -> Mixture:
