@@ -14,10 +14,15 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Server:
-    """``skypose serve`` on a data directory. ``worker`` names a fake; without it the real tracker runs."""
+    """``skypose serve`` on a data directory. ``worker`` names a fake; without it the real tracker runs.
 
-    def __init__(self, data: Path, worker: str | None = None, **settings: object) -> None:
+    ``checkout``: another one than this, with a Python of its own.
+    """
+
+    def __init__(self, data: Path, worker: str | None = None, checkout: Path | None = None, **settings: object) -> None:
         self.data = data
+        self._root = checkout or ROOT
+        self._python = sys.executable if checkout is None else str(checkout / ".venv/bin/python")
         self.log = data.parent / f"{data.name}.log"
         self._worker = worker
         self._settings = {f"SKYPOSE_{name.upper()}": str(value) for name, value in settings.items()}
@@ -30,7 +35,7 @@ class Server:
     def start(self) -> None:
         """Start, and wait until frames can be posted."""
         entry = ["-m", "service", "serve"] if self._worker is None else [str(Path(__file__))]
-        paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+        paths = os.pathsep.join([str(self._root), str(self._root / "tests")])
         environment = {
             **os.environ,
             **self._settings,
@@ -41,7 +46,7 @@ class Server:
         }
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, *entry], env=environment, cwd=ROOT, stdout=log, stderr=log
+                [self._python, *entry], env=environment, cwd=self._root, stdout=log, stderr=log
             )
         deadline = time.monotonic() + 120
         while not self.ready():
