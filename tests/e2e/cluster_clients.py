@@ -29,6 +29,20 @@ def fake_session(url: str) -> str:
         return begin(http, GIVEN, name="body.glb", filter={"seed": 3})
 
 
+def moved(url: str, session: str) -> float:
+    """Have the session moved to the other process. When that was asked for, monotonic s.
+
+    There is none while its lease has run out; its next beat mends that, after a pause too.
+    """
+    until = time.monotonic() + _LIMIT_S
+    while True:
+        moment = time.monotonic()
+        answer = httpx.post(f"{url}/v1/sessions/{session}/move", timeout=60)
+        if answer.status_code != httpx.codes.CONFLICT or moment > until:
+            answer.raise_for_status()
+            return moment
+
+
 class Client:
     """Posts one session's frames in order, each to either process and, where that does not answer, to the other."""
 

@@ -21,7 +21,6 @@ import threading
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[n]) for n in (2, 1)] + [str
 
 import httpx  # noqa: E402
 import numpy as np  # noqa: E402
-from cluster_clients import Client, Database, fake_session  # noqa: E402
+from cluster_clients import Client, Database, fake_session, moved  # noqa: E402
 from kill_loop import whole_history  # noqa: E402
 from postgres_server import Postgres  # noqa: E402
 from server_process import Server  # noqa: E402
@@ -155,12 +154,7 @@ def move(cluster: Cluster, client: Client, toll: Toll) -> None:
     cluster.all_up()
     client.answered_after(time.monotonic())
     usual = float(np.median(client.latencies(time.monotonic() - 5)))
-    until, again = time.monotonic() + 60, True
-    while again:  # 409: there is no other process while its lease has run out; its next beat, after a pause, mends that
-        moment = time.monotonic()
-        answer = httpx.post(f"{cluster.webs[0].url}/v1/sessions/{client.session}/move", timeout=60)
-        again = answer.status_code == HTTPStatus.CONFLICT and moment < until
-    answer.raise_for_status()
+    moment = moved(cluster.webs[0].url, client.session)
     client.answered_after(time.monotonic())
     client.answered_after(time.monotonic())
     toll.moves.append(max(client.latencies(moment)) - usual)
