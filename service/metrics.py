@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
@@ -77,6 +78,13 @@ class Metrics:
             registry=self.registry,
         )
         self.connections = self._gauge("skypose_connections", "Open connections")
+
+    def tracked(self, status: str, ess_share: float, timing_ms: Mapping[str, float]) -> None:
+        """A frame was tracked; ``timing_ms`` of its stages."""
+        self.frames.labels(status).inc()
+        self.ess_share.observe(ess_share)
+        for stage, value in timing_ms.items():
+            self.stage_seconds.labels(stage).observe(value / 1e3)
 
     def _gauge(self, name: str, text: str) -> Gauge:
         return Gauge(name, text, registry=self.registry)

@@ -30,6 +30,7 @@ from service.workers.base import (
     ModelReport,
     MotionJob,
     OverlayJob,
+    ReadyJob,
     RestoreJob,
     RestoreReport,
     SmoothJob,
@@ -82,6 +83,9 @@ class FakeWorker:
 
     def split(self, job: SplitJob) -> tuple[SplitFrame, ...]:
         return split_frames(job.body, job.media_type, ser_byte_order=job.ser_byte_order)
+
+    def ready(self, job: ReadyJob) -> None:
+        """Nothing is kept."""
 
     def track(self, job: FrameJob) -> FrameReport:
         self.blobs.update(job.blobs)

@@ -93,7 +93,7 @@ class Inbox:
         while (item := await self._items.get()) is not None:
             self._waited(time.monotonic() - item.since)
             self._in_hand = True
-            with structlog.contextvars.bound_contextvars(**item.log_context, session_id=self._name):
+            with structlog.contextvars.bound_contextvars(**(item.log_context | {"session_id": self._name})):
                 await self._answer(item)
             self._in_hand = False
             self._line.leave(self._tenant)

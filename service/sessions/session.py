@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import time
 from dataclasses import dataclass, replace
@@ -12,11 +13,12 @@ from functools import partial
 import orjson
 import structlog
 
-from service.errors import NoBackgroundError, StaleOwnerError
+from service.errors import NoBackgroundError, SkyposeError, StaleOwnerError
 from service.imaging.facts import NOTHING, FrameFacts
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
 from service.sessions.absolute import Aim, View
+from service.sessions.ahead import prepare
 from service.sessions.consistency import warnings_of
 from service.sessions.contenders import Contender, leader, ranking, stored
 from service.sessions.document import as_duplicate, estimate_document
@@ -216,7 +218,8 @@ class Session:
         )
         started = time.monotonic()
         seq = await self._store(record)
-        self._observe(report, time.monotonic() - started)
+        timing, told = {**report.timing_ms, "commit": 1e3 * (time.monotonic() - started)}, report.estimate
+        self._rooms.metrics.tracked(told.status, told.ess / max(told.n_particles, 1), timing)
         self._contenders = contenders
         self._pointings.passed(known.view)
         self._taken = moment.utc
@@ -252,14 +255,6 @@ class Session:
             log.warning("session taken by another; nothing of the frame is stored", frame=record.index)
             raise
 
-    def _observe(self, report: PackedFrameReport, commit_s: float) -> None:
-        metrics = self._rooms.metrics
-        metrics.frames.labels(report.estimate.status).inc()
-        metrics.ess_share.observe(report.estimate.ess / max(report.estimate.n_particles, 1))
-        metrics.stage_seconds.labels("commit").observe(commit_s)
-        for stage, value in report.timing_ms.items():
-            metrics.stage_seconds.labels(stage).observe(value / 1e3)
-
     async def _background(self, image: BackgroundIn) -> BackgroundAnswer:
         if image.idempotency_key is not None:
             known = await self._rooms.database.read(sessions.find_background, self.record.id, image.idempotency_key)
@@ -290,9 +285,15 @@ class Session:
             created_at=format_time(datetime.now(UTC)),
         )
         await database.write(sessions.set_background, background)
+        first = record.background_key is None
         self.record = replace(
             record, background_key=background.key, background_frames=report.frames, background_info=info
         )
+        if first and not own:
+            with contextlib.suppress(SkyposeError):  # no room, or at its end: the first frame prepares it then
+                self.inbox.put(
+                    partial(prepare, self._rooms.engine, record.id, self._config, self._contenders, self._blob)
+                )
         return BackgroundAnswer(report.frames)
 
     async def _blob(self, key: str) -> bytes:

@@ -75,6 +75,18 @@ class BackgroundReport:
 
 
 @dataclass(frozen=True)
+class ReadyJob:
+    """Frames of a session will come: prepare what they need of its body, and under its Sun if that is told."""
+
+    config: SessionConfig
+    model: str  # key of the model file in ``blobs``
+    file_type: str
+    articulation: Articulation
+    light: Light | None
+    blobs: Mapping[str, bytes] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class FrameJob:
     """Track one frame. ``state`` is None before the first."""
 
@@ -236,6 +248,9 @@ class Worker(Protocol):
 
     def learn_background(self, job: BackgroundJob) -> BackgroundReport:
         """Decode an image and add it to the background."""
+
+    def ready(self, job: ReadyJob) -> None:
+        """Prepare what a session's frames will need."""
 
     def track(self, job: FrameJob) -> FrameReport:
         """Decode a frame, measure it, and run one step of the filter."""

@@ -21,6 +21,7 @@ from service.workers.base import (
     OverlayJob,
     PackedFrameJob,
     PackedFrameReport,
+    ReadyJob,
     RestoreJob,
     RestoreReport,
     SmoothJob,
@@ -88,6 +89,14 @@ class Engine:
         """Decode an image and add it to the session's background."""
         report: BackgroundReport = await self.transport.call(session_id, "learn_background", job)
         return report
+
+    async def ready(self, session_id: str, job: ReadyJob, blobs: BlobSource) -> None:
+        """Prepare what a session's frames will need, where they will be tracked."""
+
+        async def run(brought: Mapping[str, bytes]) -> None:
+            await self.transport.call(session_id, "ready", replace(job, blobs=brought))
+
+        await _with_blobs(run, blobs)
 
     async def track(self, session_id: str, job: FrameJob, state: bytes | None, blobs: BlobSource) -> PackedFrameReport:
         """One frame: packed state in, packed state out."""

@@ -27,7 +27,7 @@ from service.inference.numerics.priors import PosePrior
 from service.inference.params import SessionConfig
 from service.inference.state import Array, Estimate, FilterState
 from service.inference.symmetry import Symmetry
-from service.workers.base import FrameJob
+from service.workers.base import FrameJob, ReadyJob
 from service.workers.cache import Cache
 from service.workers.full_frame import in_full_frame, in_window, scale_in_window
 from service.workers.lit_body import LitBody
@@ -63,10 +63,7 @@ class Following:
         height, width = image.image.shape[:2]
         within = scale_in_window(job.scale_px, job.config.camera)
         domain = Domain(width, height, mesh.radius, articulation, config.prior, within)
-        key = f"{job.model}:{articulation}"
-        body = self._bodies.get(key, lambda: LitBody(mesh, articulation)).body
-        key += f":{config.joints.sun_tracking}:{config.joints.sun_tracking_sigma_deg}"
-        tracking = self._tracking.get(key, lambda: sun_tracking(mesh, articulation, config.joints))
+        key, body, tracking = self._known(job.model, config, mesh, articulation)
         told = replace(told_of(config, domain, job.light), tracking=tracking)
         region = region_of(job.state, job.time_s, mesh.radius, (height, width))
         frame = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region, lens)
@@ -79,10 +76,27 @@ class Following:
             estimate = with_rates(estimate, state, belief, domain)
         return state, in_full_frame(estimate, job.config.camera), belief
 
+    def ready(self, job: ReadyJob, mesh: Mesh, articulation: Articulation) -> None:
+        """Prepare what a session's frames will need: the body, and its templates where their Sun is known already."""
+        config = in_window(job.config)
+        key, body, tracking = self._known(job.model, config, mesh, articulation)
+        told = replace(sun_of(config, job.light), tracking=tracking)
+        if told.towards_sun is not None:
+            self._bank(key, body, told)
+
     def close(self) -> None:
         """Give the device's memory back."""
         self._banks.clear()
         self._bodies.clear()
+
+    def _known(
+        self, model: str, config: SessionConfig, mesh: Mesh, articulation: Articulation
+    ) -> tuple[str, Body, SunTracking | None]:
+        """A body, which of its joints track the Sun, and the key that tells it from others."""
+        key = f"{model}:{articulation}"
+        body = self._bodies.get(key, lambda: LitBody(mesh, articulation)).body
+        key += f":{config.joints.sun_tracking}:{config.joints.sun_tracking_sigma_deg}"
+        return key, body, self._tracking.get(key, lambda: sun_tracking(mesh, articulation, config.joints))
 
     def _bank(self, key: str, body: Body, told: PosePrior) -> Bank:
         """The templates of a body, made anew when the Sun has moved."""
@@ -116,12 +130,7 @@ def of_body(state: FilterState | None, body: Body) -> FilterState | None:
 
 def told_of(config: SessionConfig, domain: Domain, light: Light | None) -> PosePrior:
     """What is known of a pose and of the Sun beside the frame, in pixels of the window."""
-    told = PosePrior(sun_sigma=_ANY_SUN_RAD)
-    if light is not None and light.towards_sun is not None:
-        x, y, z = light.towards_sun
-        sun = np.array([x, y, -z if light.mirrored else z])
-        sigma = float(np.deg2rad(config.light.sun_sigma_deg)) if light.sigma_rad is None else light.sigma_rad
-        told = replace(told, towards_sun=sun / np.linalg.norm(sun), sun_sigma=sigma)
+    told = sun_of(config, light)
     scale, binning = config.prior.scale_px, config.camera.binning
     if scale is not None:
         return replace(told, log_scale=float(np.log(scale / binning)), log_scale_sigma=config.prior.scale_sigma)
@@ -129,3 +138,14 @@ def told_of(config: SessionConfig, domain: Domain, light: Light | None) -> PoseP
         low, high = domain.log_scale_bounds
         return replace(told, log_scale=0.5 * (low + high), log_scale_sigma=max((high - low) / 6, 1e-3))
     return told
+
+
+def sun_of(config: SessionConfig, light: Light | None) -> PosePrior:
+    """What is known of the Sun beside the frame."""
+    told = PosePrior(sun_sigma=_ANY_SUN_RAD)
+    if light is None or light.towards_sun is None:
+        return told
+    x, y, z = light.towards_sun
+    sun = np.array([x, y, -z if light.mirrored else z])
+    sigma = float(np.deg2rad(config.light.sun_sigma_deg)) if light.sigma_rad is None else light.sigma_rad
+    return replace(told, towards_sun=sun / np.linalg.norm(sun), sun_sigma=sigma)

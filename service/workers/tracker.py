@@ -46,6 +46,7 @@ from service.workers.base import (
     ModelReport,
     MotionJob,
     OverlayJob,
+    ReadyJob,
     RestoreJob,
     RestoreReport,
     Shown,
@@ -118,6 +119,13 @@ class Tracker:
         assert background is not None and size is not None, "a decoder yields at least one frame"
         (width, height), channels = size, background.shape[2]
         return BackgroundReport(background.to_bytes(), background.n_frames, height, width, channels, background.bits)
+
+    def ready(self, job: ReadyJob) -> None:
+        """Prepare the body, and the templates of a search where its Sun is told."""
+        if job.config.filter.method == "bootstrap":
+            return
+        articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
+        self._following.ready(job, self._mesh(job.model, job.file_type, job.blobs), articulation)
 
     def split(self, job: SplitJob) -> tuple[SplitFrame, ...]:
         """Every frame of a file as a file of its own."""

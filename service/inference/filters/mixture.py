@@ -110,7 +110,7 @@ def search_due(before: Mixture | None) -> bool:
         return True
     if before.existence[existence.ABSENT] >= 0.5:  # what comes back is within reach of its prediction, as a rule
         return before.since_search > 0
-    if before.searches < _EAGER + before.misses or before.existence[existence.NO_FIT] >= 0.5:
+    if before.searches < _EAGER + before.misses or told_existence(before)[existence.NO_FIT] >= 0.5:
         return before.since_search + 1 >= _RARER
     return bool(before.since_search + 1 >= min(_RARER ** (before.searches - _EAGER + 1), _RAREST))
 
@@ -144,7 +144,8 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     enough = np.full(len(poses), ENOUGH if far else _ENOUGH_OF_OTHERS)
     enough[np.argmax(ahead.log_weights)] = ENOUGH
     believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
-    return ascend(hill, poses, ahead.suns, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
+    given = hill, poses, ahead.suns
+    return ascend(*given, steps=FINEST.steps, covariance="last", believed=believed, enough=enough, shift=True)
 
 
 def is_another(updated: Updated, given: Given) -> bool:

@@ -15,6 +15,7 @@ from service.inference.model.drawing import Drawing
 from service.inference.model.likelihood import Fit, terms_of
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images
+from service.inference.model.spread import gradient
 from service.inference.numerics.curvature import slopes_of, systems_of
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import Believed, PosePrior
@@ -23,6 +24,7 @@ from service.inference.state import Array, Poses
 
 ENOUGH = 0.1  # nats: a step that gains less is the last
 _ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
+_UNSEEN = 1.0  # nats: a step that promises less is taken without a look, whose own rounding is as much
 _TRIAL_STEPS = 2  # that any pose may take
 _AFRESH = 3  # times a climb's rounds, from the prior: a light that is still settling looks like a gain of every step
 _SHORTER = 0.3  # of a step that did not climb
@@ -38,15 +40,19 @@ def ascend(
     believed: Believed | None = None,
     enough: float | Array = ENOUGH,
     hopeless: float = np.inf,
+    shift: bool = False,
 ) -> list[Refined]:
     """Climb from N poses, each with its Sun (N, 3), ``steps`` at the most. In the order given.
 
     ``enough``: nats, (N,) if each its own: the last step is the one that gains less, or to so much what the slopes at
     its start promise of the top.
     ``hopeless``: nats; after two steps those go no further that are so much behind the best.
+    ``shift``: begin with a step of place alone, which costs a look.
     ``covariance``: at the end, at the last place whose slopes are known (which is cheaper), or none.
     """
     climb = _Climb(hill, poses, suns, believed, np.broadcast_to(enough, len(poses)))
+    if shift:
+        climb.shift()
     for k in range(steps):
         climb.step()
         if k + 1 >= _TRIAL_STEPS:
@@ -67,6 +73,15 @@ class _Climb:
         self._slopes: dict[np.intp, Images] = {}
         self._shifted = np.zeros(n)  # patch px by which a rim moved since its slopes were drawn
 
+    def shift(self) -> None:
+        """One step of all, of place alone: the air moves a picture as a whole, and its slopes need no drawing."""
+        everybody = np.arange(len(self._poses))
+        slopes = [_slopes_of_place(self._hill, fit, self._poses.joints.shape[1]) for fit in self._fits]
+        given = self._poses, self._suns, self._fits, slopes, self._believed, everybody
+        moves = np.zeros((len(everybody), slopes[0].shape[0]))
+        moves[:, 3:5] = self._moves(systems_of(self._hill, *given), everybody)[:, 3:5]
+        self._try(everybody, moves)
+
     def step(self) -> None:
         """One step of all that are still on their way."""
         at = np.flatnonzero(self._going)
@@ -74,8 +89,15 @@ class _Climb:
             return
         systems = self._systems(at)
         promised = np.array([0.5 * p @ np.linalg.solve(c, p) for c, p, _ in systems])
-        damping = _damping(self._hill, self._poses[at])
-        moves = np.array([np.linalg.solve(c + np.diag(d), p) for (c, p, _), d in zip(systems, damping, strict=True)])
+        moves = self._moves(systems, at)
+        sure = promised <= np.maximum(self._enough[at], _UNSEEN)
+        if sure.any():
+            self._go(at[sure], *_moved(self._poses[at[sure]], self._suns[at[sure]], moves[sure], self._hill))
+            self._scores[at[sure]] += promised[sure]
+            self._going[at[sure]] = False
+            at, moves, promised = at[~sure], moves[~sure], promised[~sure]
+        if not len(at):
+            return
         before = self._scores[at].copy()
         self._try(at, moves)
         short = (self._scores[at] <= before) & (promised > self._enough[at])
@@ -83,6 +105,11 @@ class _Climb:
             self._try(at[short], _SHORTER * moves[short])
         gained = self._scores[at] - before
         self._going[at] = np.minimum(gained, np.abs(promised - gained)) > self._enough[at]
+
+    def _moves(self, systems: list[tuple[Array, Array, Array]], at: NDArray[np.intp]) -> Array:
+        """(N, D) steps, held within ``trust``."""
+        damping = _damping(self._hill, self._poses[at])
+        return np.array([np.linalg.solve(c + np.diag(d), p) for (c, p, _), d in zip(systems, damping, strict=True)])
 
     def leave(self, behind: float) -> None:
         """Those that are so many nats behind the best."""
@@ -109,11 +136,14 @@ class _Climb:
         fits, scores = _look(self._hill, poses, suns, self._believed, at, ended)
         better = np.flatnonzero(scores > self._scores[at])
         there = at[better]
-        self._poses = _replaced(self._poses, there, poses[better])
-        self._suns[there], self._scores[there] = suns[better], scores[better]
         self._shifted[there] += _rim_shift(self._hill, poses[better], moves[better])
+        self._go(there, poses[better], suns[better])
+        self._scores[there] = scores[better]
         for k, new in zip(there, better, strict=True):
             self._fits[k] = fits[new]
+
+    def _go(self, there: NDArray[np.intp], poses: Poses, suns: Array) -> None:
+        self._poses, self._suns[there] = _replaced(self._poses, there, poses), suns
 
     def _systems(self, at: NDArray[np.intp]) -> list[tuple[Array, Array, Array]]:
         """Those of ``systems_of``; slopes drawn anew where the rim moved further than the differences reach."""
@@ -127,6 +157,14 @@ class _Climb:
         for k, (_, _, curvature) in zip(at, systems, strict=True):
             self._curvatures[k] = curvature
         return systems
+
+
+def _slopes_of_place(hill: Hill, fit: Fit, joints: int) -> Images:
+    """(D, S, S) of which only those by place are not zero: the picture's own."""
+    out = np.zeros((6 + joints + 2 * hill.sun_free, *fit.model.shape), np.float32)
+    dx, dy = gradient(fit.model)
+    out[3], out[4] = -dx / np.float32(hill.view.binning), -dy / np.float32(hill.view.binning)
+    return out
 
 
 def _rim_shift(hill: Hill, poses: Poses, moves: Array) -> Array:
