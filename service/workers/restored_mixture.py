@@ -69,6 +69,7 @@ def _check_numbers(mixture: Mixture) -> None:
         "searches": (mixture.searches, int, 0, _LARGEST),
         "misses": (mixture.misses, int, 0, _LARGEST),
         "since_search": (mixture.since_search, int, 0, _LARGEST),
+        "searched_nats": (mixture.searched_nats, float, -_LARGEST, _LARGEST),
         "ever_tracked": (mixture.ever_tracked, bool, 0, 1),
     }
     for name, (value, kind, low, high) in bounds.items():

@@ -191,9 +191,21 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         searches=(0 if another else searches) + (found is not None),
         misses=misses,
         since_search=0 if found is not None or before is None else before.since_search + 1,
+        searched_nats=searched_nats(before, found, updated),
     )
     status = status_of(mixture, given.twins, given.domain)
     return replace(mixture, ever_tracked=mixture.ever_tracked or status == "tracking")
+
+
+def searched_nats(before: Mixture | None, found: Found | None, updated: Updated) -> float:
+    """Log evidence of the best mode against the empty sky, the mean of the frames that were searched."""
+    nats = float(updated.log_evidence / prior.EVIDENCE_TRUST)
+    if before is None:
+        return nats
+    if found is None or updated.existence[existence.ABSENT] >= 0.5:
+        return before.searched_nats
+    known = before.searches + before.misses
+    return (known * before.searched_nats + nats) / (known + 1)
 
 
 def concluded(

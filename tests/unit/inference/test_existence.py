@@ -74,8 +74,15 @@ def test_light_that_is_as_it_was_speaks_for_the_body_and_light_that_is_gone_agai
 
 
 def test_searches_that_find_nothing_better_leave_less_and_less_to_doubt():
-    assert [round(existence.missed(n), 2) for n in (1, 2, 3, 4)] == [0.2, 0.09, 0.05, 0.03]
-    assert existence.missed(3, misses=4) > existence.missed(3)
+    assert [round(existence.missed(n, nats=340), 2) for n in (1, 2, 3, 4)] == [0.2, 0.09, 0.05, 0.03]
+    assert existence.missed(3, misses=4, nats=340) > existence.missed(3, nats=340)
+
+
+def test_what_says_little_more_than_the_empty_sky_is_searched_in_vain():
+    doubts = [existence.missed(3, nats=nats) for nats in (-10.0, 50.0, 170.0, 1000.0, np.inf)]
+    assert doubts == sorted(doubts, reverse=True)
+    assert doubts[1] > 0.5
+    assert doubts[3] < 0.01
 
 
 def test_the_level_of_what_is_left_over_is_learnt_from_frames_that_fit():

@@ -73,10 +73,11 @@ def test_existence_forgets():
 @pytest.mark.parametrize(("searches", "misses"), [(0, 0), (1, 0), (2, 0), (5, 0), (2, 1), (3, 4)])
 def test_the_truth_is_missed_as_often_as_the_beta_law_says(searches, misses):
     """What searches have missed before is part of the law: here by weights."""
-    finds = beta(*prior.SEARCH_FINDS).rvs(400_000, random_state=searches)
+    half = 0.5 * prior.SEARCH_WEIGHT
+    finds = beta(half, half).rvs(400_000, random_state=searches)
     weight = (1 - finds) ** misses
     wanted = np.sum(weight * (1 - finds) ** searches) / np.sum(weight)
-    assert existence.missed(searches, misses) == pytest.approx(wanted, abs=5e-3)
+    assert existence.missed(searches, misses, prior.SEARCH_HALF) == pytest.approx(wanted, abs=5e-3)
 
 
 def test_a_joint_that_turns_all_the_way_is_expected_the_short_way_round():
