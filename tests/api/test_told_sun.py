@@ -55,7 +55,7 @@ async def test_a_told_sun_brings_probabilities_and_the_goodness_of_the_fit(make_
         assert sum(mode["weight"] for mode in answer["modes"]) == pytest.approx(1.0)
         assert set(answer["fit"]) == {"chi2", "explained", "covered_dark"}
         assert answer["spread_all"]["covariance_order"] == answer["spread"]["covariance_order"]
-    assert [answer["status"] for answer in answers] == ["acquiring", "tracking", "tracking", "no_target"]
+    assert [answer["status"] for answer in answers] == ["tracking", "tracking", "tracking", "no_target"]
     for k, answer in enumerate(answers[:BLANK]):
         found = np.array([[answer["best"]["orientation"][name] for name in "wxyz"]])
         assert np.rad2deg(angle_between(found, simulated.track.poses.quaternion[k : k + 1])[0]) < 5.0

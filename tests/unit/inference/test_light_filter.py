@@ -107,7 +107,7 @@ def error_deg(estimate, k: int) -> float:
 def test_a_body_is_found_followed_and_its_rates_are_known():
     told = passed()
     assert [error_deg(told[k][1], k) < 3.0 for k in range(3)] == [True] * 3
-    assert [estimate.status for _, estimate in told[:3]] == ["acquiring", "tracking", "tracking"]
+    assert [estimate.status for _, estimate in told[:3]] == ["tracking"] * 3
     found = told[2][0].mixture
     deviation = np.sqrt(np.diag(found.covariance[0])[6:9])
     assert np.abs(found.rates[0, :3] - RATE[0, :3]).max() < 4 * deviation.max()
@@ -149,7 +149,7 @@ def test_a_state_that_was_stored_goes_on_as_if_it_had_not_been():
 def test_an_empty_sky_from_the_start_is_no_target():
     state, estimate = advance(None, Drawn(np.random.default_rng(0).normal(0, SIGMA, (SIZE, SIZE))), 0)
     assert estimate.status == "no_target" and state.mixture is None
-    assert advance(state, frame(1), 1)[1].status == "acquiring"
+    assert advance(state, frame(1), 1)[1].status == "tracking"
 
 
 def test_another_body_does_not_fit():
