@@ -84,7 +84,7 @@ def usual_chi2(before: Array | None = None, chi2: float = 1.0, fits: float = 0.0
     return np.array([mean, variance + prior.LOG_CHI2_DRIFT**2])
 
 
-def missed(searches: int, misses: int = 0, nats: float = np.inf) -> float:
+def missed(searches: int, misses: int = 0, *, nats: float) -> float:
     """Probability that the truth was met by none of so many searches that found nothing better.
 
     ``misses``: searches that are known to have missed it, since a later one did better. ``nats``: log evidence of the
@@ -92,7 +92,7 @@ def missed(searches: int, misses: int = 0, nats: float = np.inf) -> float:
     such a frame as well.
     """
     share = 1 / (1 + (prior.SEARCH_HALF / max(nats, 1.0)) ** 2)
-    a, b = (max(prior.SEARCH_WEIGHT * part, 1e-3) for part in (share, 1 - share))
+    a, b = (max(prior.SEARCH_WEIGHT * part, 1e-3) for part in (share, 1 - share))  # a Beta law has no ends at zero
     return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
 
 

@@ -77,7 +77,7 @@ def test_the_truth_is_missed_as_often_as_the_beta_law_says(searches, misses):
     finds = beta(half, half).rvs(400_000, random_state=searches)
     weight = (1 - finds) ** misses
     wanted = np.sum(weight * (1 - finds) ** searches) / np.sum(weight)
-    assert existence.missed(searches, misses, prior.SEARCH_HALF) == pytest.approx(wanted, abs=5e-3)
+    assert existence.missed(searches, misses, nats=prior.SEARCH_HALF) == pytest.approx(wanted, abs=5e-3)
 
 
 def test_a_joint_that_turns_all_the_way_is_expected_the_short_way_round():

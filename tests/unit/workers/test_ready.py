@@ -3,30 +3,13 @@
 from dataclasses import replace
 
 import pytest
-from demo_jobs import DemoPass
 
 import service.workers.following as following
-from gpu.device import find_devices
 from service.errors import MissingBlobError
 from service.inference.light import Light
 from service.workers.base import ReadyJob
-from service.workers.tracker import Tracker
 
 SUN = Light(towards_sun=(0.3, -0.2, -0.93))
-
-
-@pytest.fixture(scope="module")
-def demo():
-    if all(report.rejected for report in find_devices()):
-        pytest.skip("no OpenCL device")
-    return DemoPass()
-
-
-@pytest.fixture
-def tracker():
-    opened = Tracker()
-    yield opened
-    opened.close()
 
 
 def ready_of(job, light):

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from demo_jobs import FRAMES, DemoPass
+from demo_jobs import FRAMES
 
 import service.workers.resident
-from gpu.device import find_devices
 from gpu.errors import ScorerError
 from gpu.scorer import open_scorer
 from gpu.step import DeviceStep
@@ -22,20 +21,6 @@ from service.workers.tracker import Tracker
 from service.workers.visible import HalfShown
 
 DEVICE = {"step": "device", "particles": 300, "resampler": "multinomial"}
-
-
-@pytest.fixture(scope="module")
-def demo():
-    if all(report.rejected for report in find_devices()):
-        pytest.skip("no OpenCL device answers")
-    return DemoPass()
-
-
-@pytest.fixture
-def tracker():
-    tracker = Tracker()
-    yield tracker
-    tracker.close()
 
 
 def bits(report):

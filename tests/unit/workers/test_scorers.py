@@ -25,13 +25,6 @@ def demo():
 
 
 @pytest.fixture
-def tracker():
-    tracker = Tracker()
-    yield tracker
-    tracker.close()
-
-
-@pytest.fixture
 def device():
     usable = [report for report in gpu.device.find_devices() if report.rejected is None]
     if not usable:

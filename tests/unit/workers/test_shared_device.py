@@ -8,7 +8,6 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 import pytest
-from demo_jobs import DemoPass
 
 from gpu.device import find_devices
 from gpu.errors import DeviceError
@@ -24,13 +23,6 @@ from service.workers.device_process import DeviceProcess
 from service.workers.scoring import Scorers
 from service.workers.shared_scorer import MOST_PARTICLES, SharedScorer, open_shared
 from service.workers.tracker import Tracker
-
-
-@pytest.fixture(scope="module")
-def demo():
-    if all(report.rejected for report in find_devices()):
-        pytest.skip("no OpenCL device answers")
-    return DemoPass()
 
 
 @pytest.fixture(scope="module")
