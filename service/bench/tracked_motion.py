@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from service.inference.params import SessionConfig
 from service.inference.pose import conjugate, exp_so3, log_so3, multiply, rotation_matrices
 from service.inference.spin.rigid_body import Motions
 from service.inference.state import Array
+from service.sessions.lighting import light_at
 from service.simulate.atmosphere import Air
 from service.simulate.folder import encode_png
 from service.simulate.motion import Motion
@@ -29,20 +31,22 @@ _MOST_D_OVER_R0 = 4.0
 _CONFIG = SessionConfig()
 
 
-def run_tracked(plan: StreamPlan, passes: int, seed: int, tell: Callable[[MotionRow], None]) -> list[MotionRow]:
-    """``passes`` of the demo satellite at constant rates, in air from calm to a D/r0 of 4."""
+def run_tracked(
+    plan: StreamPlan, passes: int, seed: int, tell: Callable[[MotionRow], None], *, sun: bool = True
+) -> list[MotionRow]:
+    """``passes`` of the demo satellite at constant rates, in air from calm to a D/r0 of 4. ``sun``: it is told."""
     tracker, rows = Tracker(), []
     try:
         model = tracker.prepare_model(ModelJob(demo_satellite(), "glb"))
         for number in range(passes):
-            rows.append(_tracked(tracker, model, plan, np.random.default_rng([seed, number])))
+            rows.append(_tracked(tracker, model, plan, np.random.default_rng([seed, number]), sun))
             tell(rows[-1])
     finally:
         tracker.close()
     return rows
 
 
-def _tracked(tracker: Tracker, model: ModelReport, plan: StreamPlan, rng: np.random.Generator) -> MotionRow:
+def _tracked(tracker: Tracker, model: ModelReport, plan: StreamPlan, rng: np.random.Generator, sun: bool) -> MotionRow:
     motion = Motion(
         frames=plan.frames,
         frame_interval_s=plan.span_s / plan.frames,
@@ -52,7 +56,7 @@ def _tracked(tracker: Tracker, model: ModelReport, plan: StreamPlan, rng: np.ran
     seeing = float(rng.uniform(0.0, _MOST_D_OVER_R0))
     scenario = Scenario("", size=_SIZE, seed=int(rng.integers(1 << 31)), motion=motion, air=Air(d_over_r0=seeing))
     simulated = SimulatedPass(load_mesh(demo_satellite(), "glb"), model.articulation, scenario)
-    job = followed(tracker, model, simulated)
+    job = followed(tracker, model, simulated, told_of(simulated) if sun else _CONFIG)
     began = time.perf_counter()
     found = tracker.motion(job)
     seconds = time.perf_counter() - began
@@ -70,24 +74,31 @@ def images(truth: Motions, rotations: Sequence[Array]) -> list[Motions]:
     return [truth, *turned]
 
 
-def followed(tracker: Tracker, model: ModelReport, simulated: SimulatedPass) -> MotionJob:
+def told_of(simulated: SimulatedPass) -> SessionConfig:
+    """A session that knows the pass's Sun, as the service does by time and site."""
+    x, y, z = simulated.light(0).direction().tolist()
+    return replace(_CONFIG, light=replace(_CONFIG.light, sun=(x, y, z)))
+
+
+def followed(tracker: Tracker, model: ModelReport, simulated: SimulatedPass, config: SessionConfig) -> MotionJob:
     """A pass through the tracker, as the service would ask for its motion."""
     learned = None
     for image in simulated.backgrounds():
-        learned = tracker.learn_background(BackgroundJob(_CONFIG, encode_png(image), "image/png", learned)).background
+        learned = tracker.learn_background(BackgroundJob(config, encode_png(image), "image/png", learned)).background
     assert learned is not None
     mesh, sky = content_key(demo_satellite()), content_key(learned)
     blobs = {mesh: demo_satellite(), sky: learned}
     state, beliefs, counts = None, [], []
     for k, image in enumerate(simulated.frames()):
-        given = (_CONFIG, mesh, "glb", model.articulation, sky, state, k, float(simulated.track.time_s[k]))
-        report = tracker.track(FrameJob(*given, encode_png(image), "image/png", blobs, model.twins))
+        given = (config, mesh, "glb", model.articulation, sky, state, k, float(simulated.track.time_s[k]))
+        light = light_at(config, {}).light
+        report = tracker.track(FrameJob(*given, encode_png(image), "image/png", blobs, model.twins, light=light))
         state = report.state
         beliefs.append(None if report.belief is None else encode(report.belief))
         counts.append(report.estimate.status not in ("no_target", "no_fit", "lost"))
     size = simulated.scenario.size
     return MotionJob(
-        config=_CONFIG,
+        config=config,
         model=mesh,
         file_type="glb",
         articulation=model.articulation,

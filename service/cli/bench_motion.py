@@ -18,6 +18,7 @@ def motion(
     nutation: Annotated[float, typer.Option(min=0, max=60, help="Least of tumbling bodies, degrees.")] = 0.0,
     slowest: Annotated[float, typer.Option(min=1e-3, help="Rate, °/s.")] = 0.05,
     tracked: Annotated[int, typer.Option(min=0, help="So many passes drawn and tracked, in the place of streams.")] = 0,
+    nosun: Annotated[bool, typer.Option("--nosun", help="Tracked passes are not told where the Sun is.")] = False,
     modes: Annotated[int, typer.Option(min=0, help="So many passes in attitude modes, in the place of both.")] = 0,
     stations: Annotated[int, typer.Option(min=0, help="So many passes over two telescopes, in their place.")] = 0,
     base: Annotated[float, typer.Option(min=0, help="Between the two, km; the object is 700 km away.")] = 300.0,
@@ -45,7 +46,7 @@ def motion(
     if tracked:
         from service.bench.tracked_motion import run_tracked
 
-        rows = run_tracked(plan, tracked, seed, tell)
+        rows = run_tracked(plan, tracked, seed, tell, sun=not nosun)
     else:
         rows = run_streams(plan, passes, seed, tell)
     document = motion_document(dict(describe_machine()), rows)

@@ -40,7 +40,9 @@ def scored(hill: Hill, some: Candidates) -> Candidates:
 
 
 def climbed(hill: Hill, some: Candidates, stage: Stage, hopeless: float = np.inf) -> Candidates:
-    """The best basins after a few steps of Gauss-Newton, best first."""
+    """The best basins after a few steps of Gauss-Newton, best first; none of none."""
+    if not len(some.found):
+        return some
     some = best_of(some, stage.kept, SHARED_DEG)
     out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance="none", hopeless=hopeless)
     moved = Candidates(

@@ -69,6 +69,15 @@ def test_a_wider_sight_proposes_too_and_evidence_says_which():
     assert off_deg(found.basins[0].pose, at) < 2.0
 
 
+def test_a_sight_in_which_no_template_is_met_leaves_the_search_to_the_other():
+    at = truth(4, False)
+    whole, dark = sight_of(at), dark_sight()
+    narrow, wide = replace(dark, span=0.5 * whole.span), replace(dark, span=1.5 * whole.span)
+    for pair in ((narrow, whole), (whole, wide)):
+        assert off_deg(search(body(False), pair[0], bank(False), TOLD, pair[1]).basins[0].pose, at) < 2.0
+    assert search(body(False), narrow, bank(False), TOLD, wide).basins == []
+
+
 def test_what_lies_around_the_best_can_be_left_to_a_later_search(monkeypatch):
     monkeypatch.setattr(searching, "shaken", lambda *given: pytest.fail("looked at"))
     at = truth(4, False)
