@@ -21,6 +21,7 @@ from service.cli.sessions import sessions
 from service.cli.simulate import simulate
 from service.cli.track import track
 from service.cli.verify import verify
+from service.workers.interpreter import use_one_blas_thread
 
 app = typer.Typer(name="skypose", no_args_is_help=True, pretty_exceptions_show_locals=False)
 app.command()(serve)
@@ -46,4 +47,5 @@ app.add_typer(sessions)
 
 def main() -> None:
     """Entry point of the ``skypose`` command."""
+    use_one_blas_thread()  # as a worker has it: its own trackers' answers are the service's, bit for bit
     app()

@@ -36,7 +36,15 @@ class Interpreter:
         self.channel.close()
 
 
+def use_one_blas_thread() -> None:
+    """Before NumPy is loaded: matrices here are small, and a sum must not depend on the cores.
+
+    Where all cores are busy, several threads wait for each other a hundred times as long as one computes.
+    """
+    for name in _SINGLE:
+        os.environ.setdefault(name, "1")
+
+
 def _environment() -> dict[str, str]:
-    """BLAS has one thread, whatever the share: the matrices here are small, and a sum must not depend on the cores."""
     single = {name: os.environ.get(name, "1") for name in _SINGLE}
     return {**os.environ, **single, "PYTHONPATH": os.pathsep.join(sys.path)}

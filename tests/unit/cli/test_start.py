@@ -1,5 +1,6 @@
 """What a start of the service loads: after a kill, every import is time that clients wait."""
 
+import os
 import subprocess
 import sys
 
@@ -46,3 +47,12 @@ def test_the_web_process_loads_none_of_the_large_libraries_of_others():
 def test_a_worker_loads_no_mesh_library_and_no_statistics():
     """Files are its decode process's; each of these takes a third of a second and tens of megabytes."""
     assert sorted(set(WORKER_NEEDS_NONE) & loaded_by("service.workers.guarded")) == []
+
+
+def test_a_command_computes_with_one_thread_of_blas_as_a_worker_does():
+    code = "from service import cli; cli.app = lambda: None; cli.main(); "
+    code += "import os, numpy; numpy.linalg.inv(numpy.eye(400)); "
+    code += "print(os.environ['OPENBLAS_NUM_THREADS'], len(os.listdir('/proc/self/task')))"
+    env = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
+    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, env=env).stdout
+    assert told.split() == ["1", "1"]
