@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from service.imaging.features import FeatureSpec, feature_bins, feature_spec
 from service.imaging.own_sky import filled
 
-KEPT_FRAMES = 16  # enough for a per-pixel median that no star survives
-KEPT_BYTES = 64 * 2**20
-FLOOR = 1e-3  # share of the uniform distribution mixed into every histogram: no pixel may rule alone
+KEPT_FRAMES = 16  # numerical: enough for a per-pixel median that no star survives
+_HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
+KEPT_BYTES = 64 * 2**20  # numerical: memory of one sky
+# prior: share of the uniform distribution mixed into every histogram: no pixel may rule alone
+FLOOR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1)
         residual = frames - level - smooth
         noise = _noise(residual[:, known])
-        hot = np.abs(mean - smooth) > 6 * np.maximum(np.sqrt(np.diag(noise)), 0.3)
+        hot = np.abs(mean - smooth) > _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
         mean = np.where(hot, mean, smooth) if len(frames) > 2 else smooth
     mean = mean + np.median(level, axis=0).astype(np.float32)
     return Sky(

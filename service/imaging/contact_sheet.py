@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from service.imaging.overlay import RGB, Mask, draw_overlay, draw_silhouette, for_display
 
+# shown: in the paper
 SHOWN_FRAMES = (1, 5, 10, 100)
 """Counted from 1, as in the paper; the last frame stands in for those past the end."""
 
 _COLUMNS = ("frame", "best silhouette", "overlay")
+# shown: the sheet's looks
 _LEAST_WIDTH_PX = 256
 _MARGIN_PX, _HEADER_PX, _LABEL_PX = 6, 42, 190
 _FONT, _FONT_SIZE, _LINE_PX = cv2.FONT_HERSHEY_SIMPLEX, 0.45, 17

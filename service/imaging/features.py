@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-COLOUR_LEVELS = 32  # per channel of the joint RGB histogram
-GRADIENT_LEVELS = 1024
+COLOUR_LEVELS = 32  # numerical: per channel of the joint RGB histogram
+GRADIENT_LEVELS = 1024  # numerical: of its histogram
 
 
 @dataclass(frozen=True)

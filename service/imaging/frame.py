@@ -12,7 +12,7 @@ from service.imaging.facts import NOTHING, FrameFacts
 from service.imaging.headers import broken
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
-_MOST = 65_535
+_MOST = 65_535  # format: of 16 bits
 
 
 @dataclass(frozen=True)

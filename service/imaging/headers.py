@@ -28,8 +28,10 @@ class ImageHeader:
 
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_COLOUR_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}  # grey, RGB, palette, grey + alpha, RGBA
+# format: PNG colour types: grey, RGB, palette, grey + alpha, RGBA
+_PNG_COLOUR_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
 _JPEG_START, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
+# format: JPEG, ISO/IEC 10918-1
 _JPEG_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_SCAN_MARKER = 0xDA
 _STARTS = (

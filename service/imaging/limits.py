@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from service.errors import ImageError, TooLargeError
 
-RATIO_FROM_BYTES = 1 << 26
+RATIO_FROM_BYTES = 1 << 26  # contract: decoded bytes up to which any compression is taken
 """Below so many bytes of pixels the ratio is not looked at: empty sky packs well, and little is at stake."""
 
 

@@ -11,6 +11,7 @@ from service.errors import ImageError
 RGB = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
+# shown: all of them
 BLUE = (40, 100, 255)
 _TINT = 0.4
 _LEAST_SPAN = {8: 64.0, 16: 256.0}

@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 Map = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-_BORDER_SHARE = 12  # of the shorter side: the ring from which the first guess comes
-_ROUNDS = 4  # of outliers found and left out
-_OUTLIER_SIGMAS = 4.0  # of one pixel
-_SMOOTH_PX = 1.5
-_LIGHT_SIGMAS = 5.0  # after that smoothing
-_FAINT_SHARE = 0.15  # of an object's extent, beyond it: what the air throws there is too faint to be seen as light
-_FAINT_PX = 4
-_BRIGHT_SHARE = 0.1  # of the peak: light that is taken for the object's before the haze is known
-_HAZE_SHARE = 0.1  # of the image's side: what is narrower is no haze
+_BORDER_SHARE = 12  # numerical: of the shorter side: the ring from which the first guess comes
+_ROUNDS = 4  # numerical: of outliers found and left out
+_OUTLIER_SIGMAS = 4.0  # numerical: of one pixel
+_SMOOTH_PX = 1.5  # prior: light is at least so smooth
+_LIGHT_SIGMAS = 5.0  # prior: after that smoothing: one pixel in a million of empty sky
+# prior: of an object's extent, beyond it: what the air throws there is too faint to be seen as light
+_FAINT_SHARE = 0.15
+_FAINT_PX = 4  # prior: the same, of a small one
+_BRIGHT_SHARE = 0.1  # prior: of the peak: light that is taken for the object's before the haze is known
+_HAZE_SHARE = 0.1  # prior: of the image's side: what is narrower is no haze
 _HAZE_SIDE_PX = 96  # numerical: it is smooth, so it is looked for in a picture of this size
-_LEAST_SIGMA = 0.5  # counts: below it quantisation is the noise
+_LEAST_SIGMA = 0.5  # exact: counts: below it quantisation is the noise
 
 
 def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:

@@ -15,11 +15,12 @@ from service.imaging.own_sky import fitted
 
 Map = NDArray[np.float32]
 
-_LEVEL_PIXELS, _LEVEL_BORDER = 4_096, 0.15  # looked at for a frame's own level; share of the half width
-_LEVEL_ROUNDS, _LEVEL_SIGMAS = 3, 3.0
-_LEAST_BRIGHT_PX = 64
-_MARGIN = 0.3  # sky on each side of the light, as a share of its longer side
-_LEAST_MARGIN_PX = 6
+# numerical: looked at for a frame's own level; share of the half width
+_LEVEL_PIXELS, _LEVEL_BORDER = 4_096, 0.15
+_LEVEL_ROUNDS, _LEVEL_SIGMAS = 3, 3.0  # numerical
+_LEAST_BRIGHT_PX = 64  # numerical: from which light's own noise is told
+_MARGIN = 0.3  # numerical: sky on each side of the light, as a share of its longer side
+_LEAST_MARGIN_PX = 6  # numerical
 _COARSER = 1.2  # numerical: a patch coarser by less saves nothing
 
 

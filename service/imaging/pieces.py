@@ -10,16 +10,18 @@ from numpy.typing import NDArray
 
 from service.imaging.patch import Light
 
-DETECTION_SIGMAS = 5.0
+DETECTION_SIGMAS = 5.0  # prior: one pixel in a million of empty sky
 """Light counts as detected from here on, after a smoothing by one pixel: one false pixel in a few million."""
-_SMOOTH_PX = 1.0
-_SMOOTHED_SIGMA = 1.0 / (2.0 * np.sqrt(np.pi) * _SMOOTH_PX)  # of white noise of unit variance after it
-_LEAST_AREA_PX = 9
-_NEAR = 0.35  # components nearer than this share of the object's diagonal belong to it: booms and panels half in shadow
-_STAR_PX = 11  # extent of a bright star above the threshold
-_NEAR_STAR = 0.06  # share of the diagonal within which even something so small belongs to the object
-_ALMOST_ALL = 0.95  # of a frame's light: what a search's wider sight holds
-_MOST_STARS = 31  # that are told apart
+_SMOOTH_PX = 1.0  # prior: light is at least so smooth
+_SMOOTHED_SIGMA = 1.0 / (2.0 * np.sqrt(np.pi) * _SMOOTH_PX)  # exact: of white noise of unit variance after it
+_LEAST_AREA_PX = 9  # prior: what is smaller has no shape
+# prior: components nearer than this share of the object's diagonal belong to it: booms and panels half in shadow
+_NEAR = 0.35
+_STAR_PX = 11  # prior: extent of a bright star above the threshold
+# prior: share of the diagonal within which even something so small belongs to the object
+_NEAR_STAR = 0.06
+_ALMOST_ALL = 0.95  # numerical: of a frame's light: what a search's wider sight holds
+_MOST_STARS = 31  # numerical: that are told apart
 
 
 @dataclass(frozen=True)

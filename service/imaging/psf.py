@@ -6,10 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+# numerical: all of them, of a first guess of the point spread's width
 _PRESMOOTH_PX = 0.6
 _PIXEL_VARIANCE = 0.5  # of the pixel's own box and of the derivative kernel, px^2
 _REACHES_PX = (4, 8, 16)
 _FEWEST_EDGES = 8
+_STEP, _FOOT = 12, 4  # sigmas of the sky: least height of an edge, most light at its foot
+_HOLDS = 0.45  # of a reach: the widest point spread that it shows whole
+_SHARPER, _LEAST_VARIANCE = 25, 0.1  # per cent of edges that are believed; px^2
 
 
 def estimate_psf_sigma(contrast: NDArray[np.float32]) -> float | None:
@@ -30,7 +34,7 @@ def estimate_psf_sigma(contrast: NDArray[np.float32]) -> float | None:
     sigma = None
     for reach in _REACHES_PX:
         sigma = _sigma_within(z, slope, crest, reach) or sigma
-        if sigma is not None and sigma <= 0.45 * reach:
+        if sigma is not None and sigma <= _HOLDS * reach:
             break
     return sigma
 
@@ -42,9 +46,9 @@ def _sigma_within(
     window = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     low = cv2.erode(z, window)
     height = cv2.dilate(z, window) - low
-    edges = crest & (height > 12) & (low < 4)
+    edges = crest & (height > _STEP) & (low < _FOOT)
     if np.count_nonzero(edges) < _FEWEST_EDGES:
         return None
     width = height[edges] / (np.sqrt(2 * np.pi) * slope[edges])
-    variance = float(np.percentile(width, 25)) ** 2 - _PRESMOOTH_PX**2 - _PIXEL_VARIANCE
-    return float(np.sqrt(max(variance, 0.1)))
+    variance = float(np.percentile(width, _SHARPER)) ** 2 - _PRESMOOTH_PX**2 - _PIXEL_VARIANCE
+    return float(np.sqrt(max(variance, _LEAST_VARIANCE)))

@@ -16,7 +16,7 @@ from service.imaging.headers import broken, media_kind, read_header
 from service.imaging.limits import DEFAULT_LIMITS, ImageLimits
 
 PNG = "image/png"
-_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)  # numerical: least compression
 
 
 @dataclass(frozen=True)

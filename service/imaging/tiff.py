@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from service.errors import ImageError
 from service.imaging.limits import ImageLimits
 
+# format: TIFF 6.0 tags and types
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _SAMPLE_FORMAT = 256, 257, 258, 277, 339
 _DATA_TAGS = ((273, 279), (324, 325))  # offsets and byte counts of strips, of tiles
 _TYPE_CODES = {1: "B", 3: "H", 4: "I", 16: "Q"}  # BYTE, SHORT, LONG, LONG8

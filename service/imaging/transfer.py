@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from service.imaging.frame import Frame
 
 Transfer = Literal["linear", "srgb"] | float
-_MOST = 65_535
-_KNEE, _SLOPE, _OFFSET, _POWER = 0.04045, 12.92, 0.055, 2.4  # of sRGB, IEC 61966-2-1
+_MOST = 65_535  # format: of 16 bits
+_KNEE, _SLOPE, _OFFSET, _POWER = 0.04045, 12.92, 0.055, 2.4  # format: of sRGB, IEC 61966-2-1
 
 
 def linear(frame: Frame, transfer: Transfer) -> Frame:

@@ -14,7 +14,7 @@ from service.inference.pose import concatenate
 from service.inference.state import Array, Poses
 
 ShowsHalf = Callable[[Poses], NDArray[np.bool_]]  # (N,) which poses show at least half of the body in the image
-_ROUNDS = 100  # of drawing, of which each accepts a fifth or more unless the body is larger than the image
+_ROUNDS = 100  # numerical: of drawing, of which each accepts a fifth or more unless the body is larger than the image
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from service.inference.pose import (
 from service.inference.state import Array, Estimate, Mode, Outcome, PoseEstimate, Poses, Spread
 from service.inference.weights import effective_sample_size
 
-LEFT_OUT = 0.01  # modes that hold less than this share together are not listed
-NEGLIGIBLE_NATS = 50.0  # ten million particles so much lighter than the heaviest change no digit of a sum
+LEFT_OUT = 0.01  # shown: modes that hold less than this share together are not listed
+NEGLIGIBLE_NATS = 50.0  # numerical: ten million particles so much lighter than the heaviest change no digit of a sum
 
 
 def mean_rotation(quaternion: Array, weights: Array) -> Array:

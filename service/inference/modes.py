@@ -13,12 +13,12 @@ from service.inference.state import Array, Poses
 
 Labels = NDArray[np.intp]
 
-CLUSTER_RADIUS_DEG = 15.0
-JOINT_RADIUS_DEG = 30.0  # two joint values further apart than this are two answers
-JOINT_RADIUS_SHARE = 0.15  # the same for a prismatic joint, of its range
-MAX_CLUSTERS = 32
-MOST_MODES = 8  # that are followed from frame to frame, and kept for the smoother
-LEAST_MODE = 1e-4  # a mode that holds less is neither
+CLUSTER_RADIUS_DEG = 15.0  # shown: particles nearer than this are of one answer
+JOINT_RADIUS_DEG = 30.0  # shown: two joint values further apart than this are two answers
+JOINT_RADIUS_SHARE = 0.15  # shown: the same for a prismatic joint, of its range
+MAX_CLUSTERS = 32  # numerical: that are opened
+MOST_MODES = 8  # numerical: that are followed from frame to frame, and kept for the smoother
+LEAST_MODE = 1e-4  # numerical: a mode that holds less is neither
 
 
 @dataclass(frozen=True)

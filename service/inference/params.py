@@ -144,6 +144,7 @@ class SessionConfig:
         require(self.prior.orbit is None or site is not None, "prior.orbit needs the site, camera.site_latitude_deg …")
 
 
+# contract: the settings of the paper
 _PAPER: Mapping[str, Mapping[str, Any]] = {
     "filter": {
         "preset": "paper",

@@ -7,7 +7,7 @@ import numpy as np
 from service.inference.pose import angle_between
 from service.inference.state import Array, FilterState
 
-_NEAR_RAD = float(np.deg2rad(15.0))
+_NEAR_RAD = float(np.deg2rad(15.0))  # shown: particles so near to the best are of its rate
 
 
 def rotation_rate(state: FilterState, quaternion: Array) -> Array | None:

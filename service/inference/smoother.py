@@ -27,9 +27,9 @@ from service.inference.state import Array, Poses
 from service.inference.symmetry import Symmetry, twin, twin_rates
 from service.inference.weights import log_sum_exp
 
-LEAST_DT_S = 1e-3  # as in the filter
-_FLOOR = 1e-12  # of a variance, so that a rate that never changes can be inverted
-_STEP = 1e-5  # of a difference quotient
+LEAST_DT_S = 1e-3  # numerical: as in the filter
+_FLOOR = 1e-12  # numerical: of a variance, so that a rate that never changes can be inverted
+_STEP = 1e-5  # numerical: of a difference quotient
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from service.inference.pose import conjugate, from_matrices, multiply, rotation_matrices
 from service.inference.state import Array, Poses
 
-_DEPTH = np.diag([1.0, 1.0, -1.0])
+_DEPTH = np.diag([1.0, 1.0, -1.0])  # exact: away from the camera and towards it
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,11 @@ from service.imaging.headers import broken
 from service.imaging.limits import RATIO_FROM_BYTES, ImageLimits
 
 _GZIP = b"\x1f\x8b"
-_BYTES_PER_PIXEL = 8
-_HEADROOM = 1 << 24  # headers and tables beside the pixels
+_BYTES_PER_PIXEL = 8  # numerical: of a decoded one, at the most
+_HEADROOM = 1 << 24  # numerical: headers and tables beside the pixels
 _TOP_DOWN = "TOP-DOWN"
-_BLOCK = 2880
-_END = b"END".ljust(80)
+_BLOCK = 2880  # format: FITS
+_END = b"END".ljust(80)  # format: FITS
 _HEADER_STARTS = (b"SIMPLE  =", b"XTENSION=")
 
 

@@ -11,7 +11,7 @@ from service.imaging.headers import broken
 
 Card = tuple[str, str | float | int, str]  # keyword, value, comment
 
-_BLOCK, _CARD = 2880, 80
+_BLOCK, _CARD = 2880, 80  # format: FITS
 _END = b"END".ljust(_CARD)
 _GZIP = b"\x1f\x8b"
 

@@ -20,7 +20,7 @@ from service.imaging.facts import FrameFacts
 from service.imaging.headers import broken
 
 _EXPOSURE_CARDS = ("EXPTIME", "EXPOSURE", "XPOSURE")
-_STEP_PX = 0.5
+_STEP_PX = 0.5  # numerical: of a difference
 
 
 def read_header_facts(header: fits.Header, *, width: int, height: int, top_down: bool) -> FrameFacts:

@@ -16,6 +16,7 @@ from service.imaging.headers import broken
 from service.imaging.limits import ImageLimits
 
 _HEADER = struct.Struct("<11i")
+# format: ASCOM Alpaca ImageBytes, types of elements
 _TYPES = {
     1: "<i2",
     2: "<i4",

@@ -25,6 +25,7 @@ ByteOrder = Literal["auto", "little", "big"]
 
 _HEADER = struct.Struct("<14s7i40s40s40s2q")
 _SIGNATURE = b"LUCAM-RECORDER"
+# format: SER, version 3
 _MONO, _RGB, _BGR = 0, 100, 101
 _BAYER = {
     8: cv2.COLOR_BayerRGGB2RGB,
@@ -35,7 +36,7 @@ _BAYER = {
 _YEAR_ONE = datetime(1, 1, 1, tzinfo=UTC)
 _TICKS_PER_MICROSECOND = 10
 _MOST_TICKS = 3_155_378_976_000_000_000  # the year 10,000
-_LOOKED_AT = 1 << 16  # pixels that decide the byte order
+_LOOKED_AT = 1 << 16  # numerical: pixels that decide the byte order
 
 
 @dataclass(frozen=True)

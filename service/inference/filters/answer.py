@@ -12,7 +12,7 @@ from service.inference.numerics.student import draw, root_of
 from service.inference.pose import concatenate, retract
 from service.inference.state import Array, Estimate, FilterState, Goodness, Mixture, Mode, Poses, Spread
 
-_DRAWS = 1000  # for the spreads that have no closed form: yaw, pitch, roll
+_DRAWS = 1000  # numerical: for the spreads that have no closed form: yaw, pitch, roll
 
 
 def drawn(rng: np.random.Generator, mixture: Mixture, count: int, domain: Domain) -> tuple[Poses, Array]:

@@ -30,10 +30,11 @@ from service.inference.state import Estimate, FilterState, Mixture, Poses
 from service.inference.symmetry import twin
 
 FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as fine as a track is followed
-_ENOUGH_OF_OTHERS = 1 / prior.EVIDENCE_TRUST  # nats: what others than the leader may be short of their best
-_LEAST = 1e-3  # probability below which a mode is dropped
-_EAGER = 3  # searches of a leader, one frame after the other
-_RARER, _RAREST = 3, 100  # each search that could not better the leader makes the next so much rarer; frames
+_RIM, _SIGHT = 1.2, 1.6  # numerical: of the body's radius that belongs to it; a patch's side over its light's span
+_ENOUGH_OF_OTHERS = 1 / prior.EVIDENCE_TRUST  # numerical: nats that others may be short of their best
+_LEAST = 1e-3  # numerical: probability below which a mode is dropped
+_EAGER = 3  # numerical: searches of a leader, one frame after the other
+_RARER, _RAREST = 3, 100  # numerical: each search that could not better the leader makes the next so much rarer; frames
 
 
 def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> tuple[FilterState, Estimate]:
@@ -126,7 +127,7 @@ def ground(
     lead = int(np.argmax(ahead.log_weights))
     nuisance = Nuisance(float(before.point_spread[0]), float(before.point_spread[1]), before.discrepancy)
     reach = given.body.fine.radius * float(np.exp(ahead.poses.log_scale[lead]))
-    sight = given.frame.around(ahead.poses.position[lead], 1.2 * reach, before.span_px, nuisance.core)
+    sight = given.frame.around(ahead.poses.position[lead], _RIM * reach, before.span_px, nuisance.core)
     return stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
 
 
@@ -186,7 +187,7 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         discrepancy=updated.nuisance.discrepancy,
         log_chi2=updated.log_chi2,
         log_light=updated.log_light,
-        span_px=hill.view.side * hill.view.binning / 1.6,
+        span_px=hill.view.side * hill.view.binning / _SIGHT,
         ever_tracked=before is not None and before.ever_tracked,
         searches=(0 if another else searches) + (found is not None),
         misses=misses,

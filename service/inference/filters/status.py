@@ -13,8 +13,8 @@ from service.inference.pose import angle_between
 from service.inference.state import Array, Mixture, Poses
 from service.inference.symmetry import Symmetry, twin
 
-SURE = 0.9  # probability from which on an answer is told as one (the contract's)
-_EQUIVALENT_DEG = 5.0
+SURE = 0.9  # contract: probability from which on an answer is told as one
+_EQUIVALENT_DEG = 5.0  # contract: modes whose rotations are nearer are one answer
 
 
 def told_existence(mixture: Mixture) -> Array:

@@ -18,9 +18,9 @@ from service.inference.motion import MotionNoise
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.state import Array, Mixture
 
-MOST_MODES = 6
-_SAME_DEG = 2.5
-_SAME_JOINT_SIGMAS = 3.0
+MOST_MODES = 6  # numerical: that are kept
+_SAME_DEG = 2.5  # numerical: modes nearer than this have met
+_SAME_JOINT_SIGMAS = 3.0  # numerical: their joints agree within so many
 
 
 @dataclass(frozen=True)

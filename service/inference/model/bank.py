@@ -17,16 +17,18 @@ from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
 
-_SHIFTS_PX = (-1.0, 0.0, 1.0)
-_SCALES = (0.72, 0.85, 1.0, 1.18, 1.39)
-_DRAFT = Quality(supersample=1, shadow_px=64, gloss=())
-_PICTURE = Quality(supersample=3, shadow_px=128, gloss=())
-_LIT_SHARES = (0.0, 0.08, 0.3)  # of the brighter light: lit from here on
-_FLOOR_SIGMAS = 2.5
-_DARK_SIGMAS = 6.0
-_HALF_STEP = 0.09  # of the scales, log
-_PER_LOG_SCALE = 0.5  # correlation that a look may lose for a scale e times off
-_CHUNK = 512
+_SHIFTS_PX = (-1.0, 0.0, 1.0)  # numerical: of a template, either way, that are tried
+_SCALES = (0.72, 0.85, 1.0, 1.18, 1.39)  # numerical: of the moments' size: parts of a body may be dark
+_DRAFT = Quality(supersample=1, shadow_px=64, gloss=())  # numerical: from which moments are taken
+_PICTURE = Quality(supersample=3, shadow_px=128, gloss=())  # numerical: of a template
+_LIT_SHARES = (0.0, 0.08, 0.3)  # numerical: of the brighter light: lit from here on
+_FLOOR_SIGMAS = 2.5  # numerical: of a pixel's noise: what is below is no light
+_DARK_SIGMAS = 6.0  # numerical: brightest pixels below it: darker than the sky
+_HALF_STEP = 0.09  # numerical: of the scales, log
+_PER_LOG_SCALE = 0.5  # numerical: correlation that a look may lose for a scale e times off
+_BRIGHTEST, _DARKEST = 0.97, 0.995  # numerical: quantiles that stand for the brightest pixels, of light and of all
+_AROUND, _LEAST_AROUND_PX = 0.45, 0.4  # numerical: width of a look's sampling, template px, frame px
+_CHUNK = 512  # numerical: templates drawn at once
 
 
 def build(drawing: Drawing, suns: Array, tracking: SunTracking | None = None) -> T.Bank:
@@ -83,7 +85,7 @@ def looks(image: Images, sigma: float) -> Looks:
     above = np.where(np.abs(smooth) > floor, np.abs(smooth) if _is_dark(smooth, sigma) else smooth, 0.0)
     above = np.maximum(above, 0).astype(np.float32)
     some = above > 0
-    top = float(np.quantile(above[some], 0.97)) if some.any() else 1.0
+    top = float(np.quantile(above[some], _BRIGHTEST)) if some.any() else 1.0
     zooms, offsets, pictures, outlines = [], [], [], []
     for share in _LIT_SHARES:
         mask = above > max(share * top, floor)
@@ -107,7 +109,7 @@ def looks(image: Images, sigma: float) -> Looks:
 
 def _is_dark(smooth: Images, sigma: float) -> bool:
     """By day a body can be darker than the sky: then what differs is what is seen."""
-    return bool(smooth.sum() < 0 or np.quantile(smooth, 0.995) < _DARK_SIGMAS * sigma)
+    return bool(smooth.sum() < 0 or np.quantile(smooth, _DARKEST) < _DARK_SIGMAS * sigma)
 
 
 def _blurred(image: Images, sigma: float) -> Images:
@@ -118,7 +120,7 @@ def _blurred(image: Images, sigma: float) -> Images:
 def _sampling(size: int, zoom: float, offset: float) -> Images:
     """(SIDE, size) means of the frame's pixels around each template pixel's centre, a Gaussian half of it wide."""
     at = zoom * (np.arange(T.SIDE) + 0.5) + offset
-    wide = max(0.45 * zoom, 0.4)
+    wide = max(_AROUND * zoom, _LEAST_AROUND_PX)
     weight = np.exp(-0.5 * ((np.arange(size) + 0.5 - at[:, None]) / wide) ** 2)
     return np.asarray(weight / (wide * np.sqrt(2 * np.pi)), np.float32)
 

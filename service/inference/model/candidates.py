@@ -16,8 +16,8 @@ from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate
 from service.inference.state import Array, Poses
 
-HOPELESS = 100.0  # nats behind the best after two of the later stages' steps: none comes back from there
-SHARED_DEG = 5.0  # poses nearer than this are one basin while it is coarse
+HOPELESS = 100.0  # numerical: nats behind the best after two of the later stages' steps: none comes back
+SHARED_DEG = 5.0  # numerical: poses nearer than this are one basin while it is coarse
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from service.inference.model.spread import PointSpread, spread, spread_slopes
 from service.inference.pose import concatenate, retract, rotation_matrices
 from service.inference.state import Array, Poses
 
-_SUN_STEP = 0.03  # rad of a difference
+_SUN_STEP = 0.03  # numerical: rad of a difference
 
 
 def across(direction: Array) -> Array:

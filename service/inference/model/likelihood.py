@@ -17,12 +17,12 @@ from service.inference.model.spread import deviations, gradient, spread
 from service.inference.state import Array
 
 _NU = prior.DEGREES_OF_FREEDOM
-_T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)
-ROUNDS = 6  # of reweighting: a tolerance, the evidence moves by less than 0.1 nats after it
-LEAST_LIT = 1e-4  # of the Sun full on: a plane that shows less is left out
-_LONGEST_STEP = 1.5  # of a log albedo in one round
-_MOST = (np.inf, 1.0)  # of even light, and of the sky that is hidden
-_FIRM = 1e8  # times the curvature of an unknown that is to go nowhere else
+_T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)  # exact: of its height
+ROUNDS = 6  # numerical: of reweighting: the evidence moves by less than 0.1 nats after it
+LEAST_LIT = 1e-4  # numerical: of the Sun full on: a plane that shows less is left out
+_LONGEST_STEP = 1.5  # numerical: of a log albedo in one round
+_MOST = (np.inf, 1.0)  # prior: of even light, and of the sky that is hidden
+_FIRM = 1e8  # numerical: times the curvature of an unknown that is to go nowhere else
 
 
 @dataclass(frozen=True)

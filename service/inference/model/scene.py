@@ -13,7 +13,9 @@ from service.inference.model import prior
 from service.inference.model.spread import PointSpread, spread
 
 Images = NDArray[np.float32]
-_FULL_SHARE = 0.05  # of a pixel's light that comes from censored ones: it is censored too
+_BUMPS, _BUMP_WIDTH = (0.25, 0.5, 0.75), 0.2  # prior: of a patch's side: where the air shifts the image alike
+_BRIGHTER = 0.99  # numerical: quantile of a frame's light from which its gain is guessed, 3 sigma at the least
+_FULL_SHARE = 0.05  # numerical: of a pixel's light that comes from censored ones: it is censored too
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Scene:
     @cached_property
     def gain(self) -> float:
         """Log gain to start from: that of the brighter light in the frame."""
-        return log(max(float(np.quantile(self.data, 0.99)), 3 * self.sigma))
+        return log(max(float(np.quantile(self.data, _BRIGHTER)), 3 * self.sigma))
 
     def under(self, *, point_spread: PointSpread | None = None, discrepancy: float | None = None) -> Scene:
         """The same frame, with the low pass it has, under another point spread or discrepancy."""
@@ -104,9 +106,9 @@ def sky_slopes(side: int) -> Images:
 @lru_cache(maxsize=16)
 def shift_bumps(side: int) -> Images:
     """(9, S, S) smooth bumps a third of the body apart: where the air shifts the image alike."""
-    middle = np.array([0.25, 0.5, 0.75]) * side
+    middle = np.array(_BUMPS) * side
     at = np.arange(side) + 0.5
-    line = np.exp(-0.5 * ((at[None] - middle[:, None]) / (0.2 * side)) ** 2)
+    line = np.exp(-0.5 * ((at[None] - middle[:, None]) / (_BUMP_WIDTH * side)) ** 2)
     return _kept(np.asarray(np.einsum("ai,bj->abij", line, line).reshape(9, side, side), np.float32))
 
 

@@ -43,18 +43,19 @@ from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate, retract
 from service.inference.state import Poses
 
-BANK_SIZE = 4500  # rotations 12 degrees apart; as many again for each joint, three times at the most
-_PER_KIND = 80  # templates of each kind that are looked at with the likelihood
-_BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06  # about half a step of the bank's, each axis
-_MIRRORED = 3  # of the best, whose symmetry-equivalents are looked at
-_WIDER = 1.3  # so much more must a wider sight span
-_BEHIND = 40.0  # nats behind the best at the sharp stage: of 52 frames the truth was never more than 21
-_SAME_JOINT = 0.05  # of a joint's range: within so much it is the same value
-_LIT_SHARE = 0.65  # of a body's diameter that shows light, as a rule
-_TRIED = 60  # basins whose joints and Suns are tried anew
-_TOGETHER = 2  # joints that are tried in all combinations; more of them one after the other
-_VALUES = (8, 6)  # of each joint, alone or of two together
-_SUNS, _MORE_SUNS, _LIT_ANEW = 14, 48, 3  # that are tried roughly, and clearly with so many of the best
+BANK_SIZE = 4500  # numerical: rotations 12 degrees apart; as many again for each joint, three times at the most
+_PER_KIND = 80  # numerical: templates of each kind that are looked at with the likelihood
+# numerical: about half a step of the bank's, each axis
+_BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06
+_MIRRORED = 3  # numerical: of the best, whose symmetry-equivalents are looked at
+_WIDER = 1.3  # numerical: so much more must a wider sight span
+_BEHIND = 40.0  # numerical: nats behind the best at the sharp stage: of 52 frames the truth was 21 at the most
+_SAME_JOINT = 0.05  # numerical: of a joint's range: within so much it is the same value
+_LIT_SHARE = 0.65  # numerical: of a body's diameter that shows light, as a rule: how far a patch reaches
+_TRIED = 60  # numerical: basins whose joints and Suns are tried anew
+_TOGETHER = 2  # numerical: joints that are tried in all combinations; more of them one after the other
+_VALUES = (8, 6)  # numerical: of each joint, alone or of two together
+_SUNS, _MORE_SUNS, _LIT_ANEW = 14, 48, 3  # numerical: tried roughly, and clearly with so many of the best
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,16 @@ from service.inference.numerics.hill import Hill, Refined
 from service.inference.pose import concatenate, retract
 from service.inference.state import Array
 
-SAME_DEG = 2.0  # after refinement
-_SHAKEN, _SHAKEN_RAD, _ALONG_RAD = 24, 0.12, 0.2  # poses around the best, how far about they lie, how far along
-_ABOUT, _ALONG, _TURNED, _SHAKEN_KEPT = 2, 5, 2, 2  # of each kind, how many are tried; how many climb to the end
-_BETTER = 1.0  # nats: what a basin may be bettered by without another look
-_TRIAL_STEPS = 2  # of the finest stage, of what is shaken
-_TURNS_DEG = (-90.0, -60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0, 180.0)  # by which joints are tried
+SAME_DEG = 2.0  # numerical: after refinement
+# numerical: poses around the best, how far about they lie, how far along
+_SHAKEN, _SHAKEN_RAD, _ALONG_RAD = 24, 0.12, 0.2
+_SHAKEN_PLACE, _SHAKEN_SCALE = 0.1, 0.2  # numerical: of that angle, place in radii of the body, log scale
+# numerical: of each kind, how many are tried; how many climb to the end
+_ABOUT, _ALONG, _TURNED, _SHAKEN_KEPT = 2, 5, 2, 2
+_BETTER = 1.0  # numerical: nats by which a basin may be bettered without another look
+_TRIAL_STEPS = 2  # numerical: of the finest stage, of what is shaken
+# numerical: by which joints are tried
+_TURNS_DEG = (-90.0, -60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0, 180.0)
 
 
 def shaken(clear: Hill, hill: Hill, one: Refined) -> list[Refined]:
@@ -35,8 +39,8 @@ def shaken(clear: Hill, hill: Hill, one: Refined) -> list[Refined]:
     drawn = np.random.default_rng(_SHAKEN).standard_normal((2, _SHAKEN, d))
     about, along = drawn[0], drawn[1]
     about[:, :3] *= _SHAKEN_RAD
-    about[:, 3:5] *= 0.1 * _SHAKEN_RAD * hill.drawing.radius * np.exp(one.pose.log_scale)
-    about[:, 5] *= 0.2 * _SHAKEN_RAD
+    about[:, 3:5] *= _SHAKEN_PLACE * _SHAKEN_RAD * hill.drawing.radius * np.exp(one.pose.log_scale)
+    about[:, 5] *= _SHAKEN_SCALE * _SHAKEN_RAD
     about[:, 6:] *= np.rad2deg(_SHAKEN_RAD)
     values, vectors = np.linalg.eigh(one.covariance)
     turn = np.sqrt(np.linalg.eigvalsh(one.covariance[:3, :3])[-1])

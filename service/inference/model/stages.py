@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from service.inference.model import prior
 from service.inference.model.drawing import FINE, Drawing, Lens, Quality, View
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.scene import Scene
@@ -92,14 +93,16 @@ class Stage:
     trust: Trust
 
 
+# numerical: all of them
 FIRST = Stage(18, 1.5, 150, 1, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
 ROUGH = Stage(18, 1.5, 56, 2, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
 MIDDLE = Stage(28, 1.0, 24, 2, 0.7, Quality(2, 128), Trust())
 SHARP = Stage(44, 0.8, 10, 2, 0.6, Quality(3, 192), Trust())
 CLEAR = Stage(64, 1.2, 8, 6, 0.7, Quality(4, 256), Trust())  # the whole body, with speckle, still smooth
 FINEST = Stage(96, 0.7, 5, 6, 0.5, FINE, Trust())
-COARSE_ROUNDS = 4  # of reweighting
-SAMPLED = 1.25  # patch px in a point spread's width: what is left out by fewer is below 0.1 % of its light
+COARSE_ROUNDS = 4  # numerical: of reweighting
+# numerical: patch px in a point spread's width: what is left out by fewer is below 0.1 % of its light
+SAMPLED = 1.25
 
 
 def stage_hill(
@@ -119,7 +122,7 @@ def stage_hill(
         spread,
         nuisance.discrepancy,
         speckle,
-        max(grain * stage.low_pass, 0.7 * spread.width),
+        max(grain * stage.low_pass, prior.LOW_PASS_SHARE * spread.width),
         grain=grain,
         starry=patch.stars,
     )

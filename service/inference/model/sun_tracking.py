@@ -11,7 +11,7 @@ from service.inference.pose import retract
 from service.inference.state import Array, Poses
 
 _ROUNDS = 6  # numerical: of joints that carry each other, one after the other
-_STEP_RAD, _STEP_DEG = 0.01, 0.5  # of differences
+_STEP_RAD, _STEP_DEG = 0.01, 0.5  # numerical: of differences
 
 
 @dataclass(frozen=True)

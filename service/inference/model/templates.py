@@ -18,12 +18,14 @@ from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
 
-SIDE = 16
+SIDE = 16  # numerical: px of a template
 KINDS = ("light", "root", "lit", "edges", "outline")
-_RIM_PX = 3.75  # root mean square distance of lit pixels from their middle, in a template
-_FIRST_SIDE = 24  # of the draft from which the moments are taken
-_LIT = 0.08  # of the brighter light: lit from here on
-_BLUR_PX = 0.5  # of the pictures: rotations lie 12 degrees apart
+# numerical: root mean square distance of lit pixels from their middle, in a template
+_RIM_PX = 3.75
+_FIRST_SIDE = 24  # numerical: of the draft from which the moments are taken
+_LIT = 0.08  # numerical: of the brighter light: lit from here on
+_BRIGHTER, _MOST = 0.99, 1.5  # numerical: quantile that light is a share of, and its greatest share
+_BLUR_PX = 0.5  # numerical: of the pictures: rotations lie 12 degrees apart
 """Numerical: sizes of the pictures. None of them decides between poses; what follows the bank does."""
 
 
@@ -92,14 +94,14 @@ def normalised(pictures: Images) -> Images:
 def brighter(light: Images) -> Images:
     """(N,) what a hundredth of each picture's pixels exceed."""
     flat = light.reshape(len(light), -1)
-    rank = round(0.99 * (flat.shape[1] - 1))
+    rank = round(_BRIGHTER * (flat.shape[1] - 1))
     return np.asarray(np.partition(flat, rank, axis=1)[:, rank], np.float32)
 
 
 def kinds_of(light: Images, outline: Images, out: Images | None = None) -> Images:
     """(N, S, S) light and outline -> (kinds, N, S * S), into ``out`` where it is given."""
     out = np.empty((len(KINDS), len(light), light[0].size), np.float32) if out is None else out
-    scaled = np.clip(light / np.maximum(brighter(light), 1e-6)[:, None, None], 0, 1.5).astype(np.float32)
+    scaled = np.clip(light / np.maximum(brighter(light), 1e-6)[:, None, None], 0, _MOST).astype(np.float32)
     root = np.sqrt(scaled)
     lit = np.clip((scaled - _LIT) * 8 + 0.5, 0, 1)
     for picture, kind in zip((scaled, root, lit, _edges(root), outline), out, strict=True):

@@ -22,12 +22,14 @@ from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
 
-ENOUGH = 0.1  # nats: a step that gains less is the last
-_ROUNDING = 1e-6  # of a curvature in units of its diagonal: float32's
-_UNSEEN = 1.0  # nats: a step that promises less is taken without a look, whose own rounding is as much
-_TRIAL_STEPS = 2  # that any pose may take
-_AFRESH = 3  # times a climb's rounds, from the prior: a light that is still settling looks like a gain of every step
-_SHORTER = 0.3  # of a step that did not climb
+ENOUGH = 0.1  # numerical: nats: a step that gains less is the last
+_ROUNDING = 1e-6  # numerical: of a curvature in units of its diagonal: float32's
+# numerical: nats: a step that promises less is taken without a look, whose own rounding is as much
+_UNSEEN = 1.0
+_TRIAL_STEPS = 2  # numerical: that any pose may take
+# numerical: times a climb's rounds, from the prior: a light that is still settling looks like a gain of every step
+_AFRESH = 3
+_SHORTER = 0.3  # numerical: of a step that did not climb
 
 
 def ascend(

@@ -20,7 +20,7 @@ from service.inference.state import Array
 OFFSET_SIGMA = float(np.deg2rad(5.0))  # prior: rad, each axis: of a body axis that is held, about where it should be
 ALIGNED = 0.5  # prior: that a body which is held in a moving frame has its mesh's axes along that frame's
 _HELD_RATE = 1e-7  # numerical: rad/s, as good as none
-_ROUNDS, _TOPS = 20, 3  # numerical
+_ROUNDS, _TOPS = 20, 3  # numerical: steps of a climb, tops that are climbed
 
 
 @dataclass(frozen=True)

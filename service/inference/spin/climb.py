@@ -14,7 +14,7 @@ from service.inference.state import Array
 OUTLIER = 0.05  # prior: share of frames of which no mode is true; of tracked passes one search in twenty errs
 SLOWEST = float(np.deg2rad(0.02))  # prior: rad/s, below which a rate is as good as none: a turn in five hours
 _SHORTER, _LEAST_SHARE = 0.3, 0.02  # numerical: of a step that did not climb; steps shorter than that are given up
-_ENOUGH = 1e-3  # nats: a step that gains less is the last
+_ENOUGH = 1e-3  # numerical: nats: a step that gains less is the last
 
 
 @dataclass(frozen=True)

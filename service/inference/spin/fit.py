@@ -19,7 +19,7 @@ from service.inference.state import Array
 TUMBLING = 0.25  # prior: friction inside brings a body to turn about one axis, and control holds most
 FREE_SHAPE_SIGMA = 1.0  # prior: log second moments of a body of which nothing is known
 MESH_SHAPE_SIGMA = 0.4  # prior: of a body whose mesh is known and whose masses are not: within a factor 1.5
-LEAST_FRAMES = 3
+LEAST_FRAMES = 3  # contract: below it there is no motion to tell
 _BASINS = 6  # numerical: of a hypothesis
 _ROUNDS = (6, 20)  # numerical: steps of all candidates, then of those that are left
 _FRAMES = 1500  # numerical: of longer passes so many are taken, evenly

@@ -16,8 +16,9 @@ from service.inference.symmetry import Symmetry, twin
 
 LEAST_SIGMA_RAD = 1e-5  # numerical: so that a covariance can be inverted
 DEGREES = POSE_DEGREES_OF_FREEDOM
+# exact: of the Student t of three axes
 LOG_HEIGHT = lgamma((DEGREES + 3) / 2) - lgamma(DEGREES / 2) - 1.5 * log(DEGREES * pi)
-LOG_UNIFORM = -log(8 * pi**2)  # of a rotation that may be any, per rad^3
+LOG_UNIFORM = -log(8 * pi**2)  # exact: of a rotation that may be any, per rad^3
 
 
 @dataclass(frozen=True)

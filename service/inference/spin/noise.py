@@ -19,15 +19,16 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from service.inference.state import Array
 
+# prior: of the variance that stays, each as likely
 SHARES = (0.1, 0.25, 0.5, 0.8, 0.9, 0.95, 0.98)
-"""Prior: of the variance that stays, all alike, and none. A track in turbulence scatters by a fifth of what it is off:
+"""Beside none. A track in turbulence scatters by a fifth of what it is off:
 what a frame's stated spread holds and its neighbours do not show is an error that stays."""
 LASTS_S = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # prior: log-uniform from frames' intervals to a pass
 _AROUND = np.linspace(-2.5, 2.5, 7)  # numerical: places of s about its best, in standard deviations of its log
 _SCALE_LOG_SIGMA = 0.5  # prior: stated spreads are right within a factor 1.6
 _LEAST_STEP_S = 1e-4  # numerical: frames of one time
 _TOGETHER = 64  # numerical: laws of all stations together that are looked at
-_AXES = 3
+_AXES = 3  # exact: of a rotation
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from service.inference.pose import conjugate, multiply
 from service.inference.state import Array
 
 DRIFT = 0.01 / 86_400  # prior: relative change of a rate, 1/s, one sigma: a hundredth a day
-LEAST_PASSES = 2
-_SURE_SIGMAS = 6.0  # of the predicted phase within a turn: half a turn is three of them
-_LEAST_SCALE = 1.0  # residuals smaller than stated make nothing surer
+LEAST_PASSES = 2  # contract: below it there is no trend to tell
+_SURE_SIGMAS = 6.0  # prior: of the predicted phase within a turn: half a turn is three of them
+_LEAST_SCALE = 1.0  # prior: residuals smaller than stated make nothing surer
 
 
 @dataclass(frozen=True)

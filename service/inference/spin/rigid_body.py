@@ -17,6 +17,7 @@ from service.inference.state import Array
 _STEP_RAD = 0.3  # numerical: turn of a step of the integration; over 50 rad its error is 1e-5 rad
 FARTHEST_RAD = 600.0  # numerical: a free body is followed no further from the reference time
 _DIFFERENCE = 1e-5  # numerical: of a difference quotient, rad/s and log
+# exact: axes in turn; an orthonormal basis of symmetric tensors without a trace
 _ROOT_HALF = np.sqrt(0.5)
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 INERTIA_BASIS = np.array(

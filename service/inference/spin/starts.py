@@ -27,7 +27,8 @@ _TRIED, _FOLLOWED, _TUMBLING, _SHAPES = 400, 24, 6, 4  # numerical: candidates
 _FIRST, _THINNED = 9, 48  # numerical: frames of the first window, and of any
 _ROUNDS = 4  # numerical: steps in each window
 _SAME_RAD = 0.03  # numerical: candidates that are nowhere further apart are one
-_HOPELESS = 60.0  # nats below the best, counted as if frames erred each by itself: that is given up
+# numerical: nats below the best, counted as if frames erred each by itself: that is given up
+_HOPELESS = 60.0
 
 
 def candidates(frames: PassFrames, prior: MotionPrior, *, tumbling: bool, reference_s: float) -> Motions:

@@ -1,0 +1,63 @@
+"""Every number that inference and imaging hold by name says what it is: nothing is tuned in secret."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PRIORS = ROOT / "service/inference/model/prior.py"
+MODULES = sorted(p for part in ("inference", "imaging") for p in (ROOT / "service" / part).rglob("*.py") if p != PRIORS)
+KINDS = ("prior", "numerical", "exact", "format", "contract", "shown")  # docs/architecture.md, Constants
+SAYS = re.compile(rf"# (?:{'|'.join(KINDS)}): \S")
+
+
+def held_numbers(source: str) -> Iterator[tuple[int, int, str]]:
+    """First and last line, and names, of assignments of a module or class body that hold numbers."""
+    for node in ast.parse(source).body:
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+            continue
+        counts = isinstance(node.value, ast.Call) and getattr(node.value.func, "id", "") == "range"  # an enumeration
+        numbers = [
+            one for one in ast.walk(node.value) if isinstance(one, ast.Constant) and type(one.value) in (int, float)
+        ]
+        if numbers and not counts:
+            yield node.lineno, node.end_lineno or node.lineno, ast.unparse(getattr(node, "targets", [None])[0] or node)
+
+
+def is_told(lines: list[str], first: int, last: int) -> bool:
+    """By a comment of its own, or by one that heads the unbroken lines it stands in."""
+    if any(SAYS.search(line) for line in lines[first - 1 : last]):
+        return True
+    above = first - 2
+    while above >= 0 and lines[above].strip():
+        if lines[above].startswith("#") and SAYS.match(lines[above]):
+            return True
+        above -= 1
+    return False
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_number_says_whether_it_is_a_prior_or_numerical(path):
+    source = path.read_text()
+    lines = source.splitlines()
+    hidden = [f"{first}: {name}" for first, last, name in held_numbers(source) if not is_told(lines, first, last)]
+    assert hidden == []
+
+
+def test_every_prior_has_a_reason_or_a_unit_and_stands_in_the_model():
+    source, model = PRIORS.read_text(), (ROOT / "docs/model.md").read_text()
+    lines = source.splitlines()
+    for first, last, name in held_numbers(source):
+        assert "#" in " ".join(lines[first - 1 : last]), name
+    told = {float(number) for number in re.findall(r"\d+(?:\.\d+)?", model)}
+    held = {
+        float(one.value)
+        for node in ast.parse(source).body
+        if isinstance(node, ast.Assign)
+        for one in ast.walk(node.value)
+        if isinstance(one, ast.Constant) and type(one.value) in (int, float)
+    }
+    assert sorted(held - told) == []
