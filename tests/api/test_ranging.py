@@ -62,6 +62,9 @@ async def test_what_is_refused_when_the_session_is_begun(api):
     ):
         answer = await api.http.post("/v1/sessions", json={"model_id": model_id, **sections})
         assert (answer.status_code, answer.json()["type"]) == (422, "urn:skypose:problem:invalid-configuration")
+        assert "Value error" not in answer.text and not answer.json()["detail"].startswith(":")
+    siteless = (await api.http.post("/v1/sessions", json={"model_id": model_id, "prior": {"orbit": TLE}})).json()
+    assert siteless["field"] == "prior.orbit" and siteless["detail"].startswith("prior.orbit: needs the site: camera.")
 
 
 async def test_a_mistyped_orbit_is_told_when_the_session_is_begun(api):
