@@ -36,6 +36,7 @@ def sessions(server):
 def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessions, open_page, width):
     page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=844)
     shows(page, FRAMES - 1)
+    expect(page.locator(f'[data-session="{sessions[0]}"]')).to_be_in_viewport(ratio=0.9)
     assert overflow(page) == 0
     page.keyboard.press("d")  # more of everything
     assert overflow(page) == 0
