@@ -163,6 +163,20 @@ def test_the_models_image_is_that_of_the_frame_asked_for(server, sessions, open_
     picture_shows(page, 0)
 
 
+def test_a_models_image_that_takes_its_time_says_so(server, sessions, open_page):
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    picture_shows(page, FRAMES - 1)
+    held = []
+    page.route("**/model.png", lambda route: held.append(route))
+    with page.expect_request("**/model.png"):
+        page.keyboard.press("d")
+    note = page.locator("#frame .stage.beside .note").first
+    expect(note).to_have_text("being made…")
+    for route in held:
+        route.continue_()
+    expect(note).not_to_have_text("being made…")
+
+
 def test_plots_tell_values_and_are_zoomed(server, sessions, open_page):
     page = open_page(f"{server.url}/#{sessions[0]}")
     shows(page, FRAMES - 1)
