@@ -6,14 +6,14 @@ from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 import orjson
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Request, Response
 from pydantic import Field
 
 from service.access.keys import MAX_NAME
 from service.access.principal import KeyRates, Role
 from service.api.auth import Admin, Reader
 from service.api.bodies import read_json
-from service.api.paging import page_limit, problems, stored_page
+from service.api.paging import Page, page_limit, problems, stored_page
 from service.api.services import ServicesDep
 from service.api.wire import Wire
 
@@ -117,7 +117,6 @@ class AuditList(Wire):
     next: str | None
 
 
-_AFTER = Query(ge=0, le=2**53, description="Cursor, from `next`")
 _KEY_SCHEMA = KeyRequest.model_json_schema(ref_template="#/components/schemas/{model}")
 del _KEY_SCHEMA["$defs"]  # they are among the schemas of the answers
 _KEY_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": _KEY_SCHEMA}}}}
@@ -151,12 +150,10 @@ async def create_key(request: Request, response: Response, caller: Admin, servic
 
 
 @router.get("/keys", response_model=ApiKeyList, responses=problems(422))
-async def list_keys(
-    caller: Admin, services: ServicesDep, after: Annotated[int, _AFTER] = 0, limit: Annotated[int, Query(ge=1)] = 100
-) -> Response:
+async def list_keys(caller: Admin, services: ServicesDep, query: Page) -> Response:
     """The tenant's keys, without their secrets, also those that are no longer good."""
-    limit = page_limit(limit, services.settings)
-    page = await services.keys.page(caller.tenant, after, limit)
+    limit = page_limit(query.limit, services.settings)
+    page = await services.keys.page(caller.tenant, query.after, limit)
     documents = [orjson.dumps(_shown(asdict(record))) for record in page.records]
     return stored_page("keys", documents, page.damaged, page.cursor, limit)
 
@@ -168,12 +165,10 @@ async def revoke_key(key_id: str, caller: Admin, services: ServicesDep) -> None:
 
 
 @router.get("/audit", response_model=AuditList, responses=problems(422))
-async def read_audit(
-    caller: Admin, services: ServicesDep, after: Annotated[int, _AFTER] = 0, limit: Annotated[int, Query(ge=1)] = 100
-) -> Response:
+async def read_audit(caller: Admin, services: ServicesDep, query: Page) -> Response:
     """The tenant's audit log, the oldest entry first. Who showed no good credential is in that of `default`."""
-    limit = page_limit(limit, services.settings)
-    page = await services.audit.page(caller.tenant, after, limit)
+    limit = page_limit(query.limit, services.settings)
+    page = await services.audit.page(caller.tenant, query.after, limit)
     documents = [orjson.dumps({k: v for k, v in asdict(record).items() if k != "tenant"}) for record in page.records]
     return stored_page("entries", documents, page.damaged, page.cursor, limit, "/v1/audit")
 

@@ -46,24 +46,45 @@ class ExportQuery(BaseModel):
     """With `czml`: the mesh itself, its parts moved as the joints were. `prior.unit_m` says how large it is."""
 
 
+class EstimatesQuery(BaseModel):
+    """Which estimates."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    after: Annotated[int, Field(ge=-1, le=2**53)] = -1
+    """Frames after this index"""
+    limit: Annotated[int, Field(ge=1)] = 100
+    smoothed: bool = False
+    """With all later frames taken into account"""
+
+
+class ParticlesQuery(BaseModel):
+    """Which particles, and how many."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    index: Annotated[int, Field(ge=0, le=2**53)] | None = None
+    """Frame; the newest by default"""
+    most: Annotated[int, Field(ge=1)] | None = None
+    """No more than so many, drawn by their weights"""
+
+
 @router.get("/estimates", response_model=schemas.EstimateList, responses=problems(404, 422, 503))
 async def list_estimates(
     session_id: str,
     session: ReadSession,
     services: ServicesDep,
-    after: Annotated[int, Query(ge=-1, le=2**53, description="Frames after this index")] = -1,
-    limit: Annotated[int, Query(ge=1)] = 100,
-    smoothed: Annotated[bool, Query(description="With all later frames taken into account")] = False,
+    query: Annotated[EstimatesQuery, Query()],
 ) -> Response:
     """Estimates in order of their frames.
 
     With `smoothed=true` pose, spread, modes and rates are those given the whole pass so far (a backward smoother),
     and each estimate says in `smoothed` whether that was possible.
     """
-    limit = page_limit(limit, services.settings)
-    read = services.archive.smoothed if smoothed else services.archive.estimates
-    found, cursor = await read(session, after, limit)
-    following = next_page(f"/v1/sessions/{session_id}/estimates", cursor, limit, "&smoothed=true" if smoothed else "")
+    limit, more = page_limit(query.limit, services.settings), "&smoothed=true" if query.smoothed else ""
+    read = services.archive.smoothed if query.smoothed else services.archive.estimates
+    found, cursor = await read(session, query.after, limit)
+    following = next_page(f"/v1/sessions/{session_id}/estimates", cursor, limit, more)
     return page_response("estimates", found, following)
 
 
@@ -164,13 +185,12 @@ async def read_particles(
     session: ReadSession,
     request: Request,
     services: ServicesDep,
-    index: Annotated[int | None, Query(ge=0, le=2**53, description="Frame; the newest by default")] = None,
-    most: Annotated[int | None, Query(ge=1, description="No more than so many, drawn by their weights")] = None,
+    query: Annotated[ParticlesQuery, Query()],
 ) -> Response:
     """The weighted particles after a frame, as JSON or (`Accept: application/x-npz`) as NumPy arrays."""
-    found = await services.archive.particles(session, index)
+    found = await services.archive.particles(session, query.index)
     as_npz = NPZ in request.headers.get("accept", "")
-    body = await asyncio.to_thread(_npz if as_npz else _particles_json, found, most)
+    body = await asyncio.to_thread(_npz if as_npz else _particles_json, found, query.most)
     return Response(body, media_type=NPZ if as_npz else "application/json", headers={"Vary": "Accept"})
 
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import PurePath
-from typing import Annotated, Any
+from typing import Any
 
 import orjson
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Request, Response
 from starlette.datastructures import FormData, UploadFile
 
 from service.access.principal import tenant_of
 from service.api import schemas
 from service.api.auth import OperateModel, Operator, Reader, ReadModel
 from service.api.description import bytes_answered
-from service.api.paging import page_limit, problems, stored_page
+from service.api.paging import Page, page_limit, problems, stored_page
 from service.api.services import ServicesDep
 from service.errors import InputError, JointError, UnsupportedMediaTypeError
 from service.sessions.library import Upload
@@ -73,12 +73,11 @@ async def upload_model(request: Request, response: Response, caller: Operator, s
 async def list_models(
     caller: Reader,
     services: ServicesDep,
-    after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
-    limit: Annotated[int, Query(ge=1)] = 100,
+    query: Page,
 ) -> Response:
     """All models in order of upload."""
-    limit = page_limit(limit, services.settings)
-    page = await services.library.page(caller.tenant, after, limit)
+    limit = page_limit(query.limit, services.settings)
+    page = await services.library.page(caller.tenant, query.after, limit)
     return stored_page("models", page.records, page.damaged, page.cursor, limit)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import orjson
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from service.access.principal import public_id
@@ -20,6 +23,15 @@ class Moved(Wire):
     session_id: str
     process: str
     """Id of the process that has it now."""
+
+
+class MoveQuery(BaseModel):
+    """Where a session goes."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    to: Annotated[str, Field(max_length=64)] | None = None
+    """Id of a process; by default the least busy other"""
 
 
 async def move(services: Services, call: Call, to: str | None) -> Response:

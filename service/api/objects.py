@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import OperateObject, Operator, Reader, ReadObject
 from service.api.bodies import read_json
 from service.api.health import release
 from service.api.motion import PassMotion, Vector
-from service.api.paging import page_limit, problems, stored_page
+from service.api.paging import Page, page_limit, problems, stored_page
 from service.api.report_file import report_file
 from service.api.services import ServicesDep
 from service.api.wire import Wire
@@ -36,6 +36,15 @@ class TrackedObject(Wire):
     created_at: str
     sessions: list[str]
     """In order of their creation."""
+
+
+class PassQuery(BaseModel):
+    """Which pass of an object."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    number: Annotated[int, Field(ge=0, le=10**6)] | None = Field(None, alias="pass")
+    """The last by default"""
 
 
 class TrackedObjectList(Wire):
@@ -152,12 +161,11 @@ async def create_object(
 async def list_objects(
     caller: Reader,
     services: ServicesDep,
-    after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
-    limit: Annotated[int, Query(ge=1)] = 100,
+    query: Page,
 ) -> Response:
     """All objects in order of creation."""
-    limit = page_limit(limit, services.settings)
-    page = await services.objects.page(caller.tenant, after, limit)
+    limit = page_limit(query.limit, services.settings)
+    page = await services.objects.page(caller.tenant, query.after, limit)
     return stored_page("objects", page.records, page.damaged, page.cursor, limit)
 
 
@@ -195,14 +203,14 @@ async def read_object_passes(held: ReadObject, services: ServicesDep) -> dict[st
 async def read_object_motion(
     held: ReadObject,
     services: ServicesDep,
-    number: Annotated[int | None, Query(alias="pass", ge=0, le=10**6, description="The last by default")] = None,
+    query: Annotated[PassQuery, Query()],
 ) -> dict[str, Any]:
     """How the object turned in a pass, from the frames of all telescopes that saw it.
 
     Sessions of one pass are such as begin within half an hour of another's end. 409 unless all have one model, and the
     camera's orientation is known in every frame: only then do they tell of one attitude, body -> GCRF.
     """
-    return await services.objects.motion(held, number)
+    return await services.objects.motion(held, query.number)
 
 
 @router.get("/{object_id}/spin", response_model=ObjectSpin, responses=problems(404, 409, 503))

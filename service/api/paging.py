@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import orjson
+from fastapi import Query
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from service.api.problems import MEDIA_TYPE
 from service.errors import InputError
 from service.settings import Settings
+
+
+class PageQuery(BaseModel):
+    """Which page of a list. A model and not plain parameters, so that a misspelt one is refused, not passed over."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    after: Annotated[int, Field(ge=0, le=2**53)] = 0
+    """Cursor, from `next`"""
+    limit: Annotated[int, Field(ge=1)] = 100
+
+
+Page = Annotated[PageQuery, Query()]
 
 
 def page_limit(limit: int, settings: Settings) -> int:

@@ -11,8 +11,8 @@ from service.api import schemas
 from service.api.auth import OperateSession, Operator, Reader, ReadSession
 from service.api.bodies import read_json
 from service.api.forwarding import Call
-from service.api.moving import Moved, move
-from service.api.paging import page_limit, problems, stored_page
+from service.api.moving import Moved, MoveQuery, move
+from service.api.paging import Page, page_limit, problems, stored_page
 from service.api.sections import SECTIONS
 from service.api.services import ServicesDep
 
@@ -53,12 +53,11 @@ async def create_session(
 async def list_sessions(
     caller: Reader,
     services: ServicesDep,
-    after: Annotated[int, Query(ge=0, le=2**53, description="Cursor, from `next`")] = 0,
-    limit: Annotated[int, Query(ge=1)] = 100,
+    query: Page,
 ) -> Response:
     """All sessions in order of creation."""
-    limit = page_limit(limit, services.settings)
-    page = await services.archive.sessions(caller.tenant, after, limit)
+    limit = page_limit(query.limit, services.settings)
+    page = await services.archive.sessions(caller.tenant, query.after, limit)
     return stored_page("sessions", page.records, page.damaged, page.cursor, limit)
 
 
@@ -74,10 +73,10 @@ async def move_session(
     caller: Operator,
     request: Request,
     services: ServicesDep,
-    to: Annotated[str | None, Query(max_length=64, description="Its id; by default the least busy other")] = None,
+    query: Annotated[MoveQuery, Query()],
 ) -> Response:
     """Give the session to another process of the cluster, after the frames that are waiting: none is lost."""
-    return await move(services, Call.of(request, session, caller), to)
+    return await move(services, Call.of(request, session, caller), query.to)
 
 
 @router.delete("/{session_id}", status_code=204, responses=problems(404, 503))

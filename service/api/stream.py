@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Coroutine
+from collections.abc import AsyncGenerator, Coroutine, Iterable
 from typing import Annotated, Any
 
 import orjson
 import structlog
 from fastapi import APIRouter, Header, Query, Response, WebSocket
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
@@ -19,11 +20,23 @@ from service.api.problems import problem_response
 from service.api.services import Services, ServicesDep, services_of
 from service.errors import InputError, SkyposeError
 from service.sessions.hub import Message
+from service.sessions.near import did_you_mean
 
 log = structlog.get_logger(__name__)
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["stream"])
 _LAST = {"type": "http.response.body", "body": b"", "more_body": False}
 CLOSE_NORMAL, CLOSE_GOING_AWAY, CLOSE_POLICY, CLOSE_TRY_AGAIN = 1000, 1001, 1008, 1013
+
+
+class StreamQuery(BaseModel):
+    """Where a stream begins."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    after: Annotated[int, Field(ge=-1, le=2**53)] | None = None
+    """Events after this number"""
+    ticket: str | None = None
+    """From `POST /v1/tickets`, in the place of a key"""
 
 
 @router.get(
@@ -35,11 +48,11 @@ async def events(
     session: ReadSession,
     caller: Reader,
     services: ServicesDep,
-    after: Annotated[int | None, Query(ge=-1, le=2**53, description="Events after this number")] = None,
+    query: Annotated[StreamQuery, Query()],
     last_event_id: Annotated[str | None, Header(description="Wins over `after`: a resumed stream")] = None,
-    ticket: Annotated[str | None, Query(description="From `POST /v1/tickets`, in the place of a key")] = None,
 ) -> Response:
     """Estimates as they come. `after=0` begins with the first; without it only new ones are sent."""
+    after = query.after
     if last_event_id:
         after = _number(last_event_id, "header:Last-Event-ID")
     return EventStream(services, caller, session, after)
@@ -51,6 +64,7 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
     services = services_of(websocket)
     try:
         caller = await admit(websocket)
+        _require_known(websocket.query_params)
         text = websocket.query_params.get("after")
         after = None if text is None else _number(text, "query:after")
         async with services.hub.watch(caller.session(session_id), after) as messages:
@@ -148,6 +162,14 @@ def message_json(message: Message) -> bytes:
     if message.reason is not None:
         return head + b',"reason":' + orjson.dumps(message.reason) + b"}"
     return head + b"}"
+
+
+def _require_known(names: Iterable[str]) -> None:
+    """A WebSocket's query is not checked by the framework."""
+    for name in names:
+        if name not in StreamQuery.model_fields:
+            near = did_you_mean((), name, StreamQuery.model_json_schema())
+            raise InputError(f"no such parameter{near}", field=f"query:{name}")
 
 
 def _number(text: str, field: str) -> int:

@@ -13,7 +13,7 @@ class FieldError(ValueError):
 
     def __init__(self, field: str, message: str) -> None:
         super().__init__(f"{field} {message}")
-        self.field = field
+        self.field, self.fault = field, message
 
 
 def require(ok: bool, message: str) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
-from service.inference.checks import FORBID, require
+from service.inference.checks import FORBID, FieldError, require
 from service.inference.scene import CameraParams, LightParams, PriorParams
 
 __all__ = [
@@ -141,7 +141,8 @@ class SessionConfig:
         site = self.camera.site_latitude_deg
         affine = self.filter.method == "bootstrap"
         require(not affine or self.camera.perspective is None, "camera.perspective is not for bootstrap: it is affine")
-        require(self.prior.orbit is None or site is not None, "prior.orbit needs the site, camera.site_latitude_deg …")
+        if self.prior.orbit is not None and site is None:
+            raise FieldError("prior.orbit", "needs the site: camera.site_latitude_deg and camera.site_longitude_deg")
 
 
 # contract: the settings of the paper

@@ -196,3 +196,5 @@ class Estimate:
     spread_all: Spread | None = None  # over all particles, where ``spread`` is that of the best mode
     probabilities: Array | None = None  # (3,) of absent, fits, no_fit
     fit: Goodness | None = None
+    light_scale: float | None = None
+    """Scale at which the body's diameter just reaches across the frame's light: what is seen, whatever fits."""

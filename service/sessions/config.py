@@ -131,12 +131,21 @@ def _preset(sections: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
 
 def _config_error(error: ValidationError) -> ConfigError:
     found = [
-        {"field": _field(item), "message": item["msg"] + (_near(item) if n < MOST else "")}
+        {"field": _field(item), "message": _message(item) + (_near(item) if n < MOST else "")}
         for n, item in enumerate(error.errors(include_url=False, include_input=False))
     ]
     first = found[0]["field"]
     said = dict.fromkeys(item["message"] for item in found if item["field"] == first)  # one for each type it may have
-    return ConfigError(f"{first}: {'; or: '.join(said)}", field=first, errors=found)
+    detail = "; or: ".join(said)
+    if not first:  # of sections that do not go together: the sentence names them
+        return ConfigError(detail, errors=found)
+    return ConfigError(f"{first}: {detail}", field=first, errors=found)
+
+
+def _message(item: ErrorDetails) -> str:
+    """Of a check of ours what it says, without the kind that pydantic puts before it and the field, told beside it."""
+    ours = item.get("ctx", {}).get("error")
+    return str(getattr(ours, "fault", ours)) if isinstance(ours, ValueError) else item["msg"]
 
 
 def _near(item: ErrorDetails) -> str:

@@ -17,6 +17,9 @@ _FIELD_DEG = 0.5  # half of it, where the pixel scale is not known
 _AT_THE_END = 0.8  # of the tolerance that a scale was sought in: it would have gone on
 _DRAWN = 0.5  # the same of what does not fit: mirrored bodies of the right size stay within 0.4
 _OUT_OF_SIGHT = ("no_target", "lost")  # any other status has a size; one far off is often why nothing fits
+_FITS = ("tracking", "ambiguous")
+_BEYOND = 1.05  # the light's extent against the diameter of the largest scale allowed
+_WITHIN = 0.2  # the same against the smallest: bodies are seen shorter than their diameter, and half in shadow
 
 
 def warnings_of(
@@ -35,11 +38,23 @@ def warnings_of(
         apart = np.rad2deg(np.arctan2(np.linalg.norm(np.cross(aim.axis, towards)), aim.axis @ towards))
         if apart > (_FIELD_DEG if aim.field_deg is None else aim.field_deg) + _ASIDE_DEG:
             found.append(f"the camera points {apart:.1f}° away from where the orbit puts the object")
-    if ranged.scale_px is not None and ranged.bounds_px is not None and estimate.status not in _OUT_OF_SIGHT:
-        share, allowed = estimate.best.scale / ranged.scale_px - 1, ranged.bounds_px[1] / ranged.scale_px - 1
-        if abs(share) > (_DRAWN if estimate.status == "no_fit" else _AT_THE_END) * allowed:
-            size = "larger" if share > 0 else "smaller"
-            found.append(
-                f"the body is {abs(share):.0%} {size} than range, pixel scale and the model's unit say, or more"
-            )
+    if ranged.scale_px is not None and ranged.bounds_px is not None:
+        found += _size_warnings(estimate, ranged.scale_px, ranged.bounds_px)
     return found
+
+
+def _size_warnings(estimate: Estimate, expected: float, bounds: tuple[float, float]) -> list[str]:
+    """Of a size that is a little off, the pose tells; of one too far off for any pose to fit, the light itself."""
+    seen = estimate.light_scale
+    if seen is not None and estimate.status not in _FITS and not _WITHIN * bounds[0] < seen < _BEYOND * bounds[1]:
+        times = f"{float(f'{seen / expected:.2g}'):,g} times"
+        return [f"the light is {times} as long as the body is by range, pixel scale and the model's unit"]
+    if estimate.status in _OUT_OF_SIGHT:
+        return []
+    share, allowed = estimate.best.scale / expected - 1, bounds[1] / expected - 1
+    if abs(share) <= (_DRAWN if estimate.status == "no_fit" else _AT_THE_END) * allowed:
+        return []
+    if estimate.status == "no_fit":  # which way a size is wrong is not told by what fits at none
+        return [f"nothing fits within {allowed:.0%} of the size by range, pixel scale and the model's unit"]
+    size = "larger" if share > 0 else "smaller"
+    return [f"the body is {abs(share):.0%} {size} than range, pixel scale and the model's unit say, or more"]

@@ -74,6 +74,8 @@ class Following:
         belief = None if state.mixture is None else belief_of_mixture(state, state.mixture)
         if job.state is not None and config.motion.kind == "constant_velocity":
             estimate = with_rates(estimate, state, belief, domain)
+        span = frame.span_px
+        estimate = replace(estimate, light_scale=None if span is None else span / (2 * mesh.radius))
         return state, in_full_frame(estimate, job.config.camera), belief
 
     def ready(self, job: ReadyJob, mesh: Mesh, articulation: Articulation) -> None:

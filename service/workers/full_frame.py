@@ -58,6 +58,7 @@ def in_full_frame(estimate: Estimate, camera: CameraParams) -> Estimate:
         spread=_spread(estimate.spread, camera),
         modes=tuple(_mode(mode, camera) for mode in estimate.modes),
         spread_all=None if estimate.spread_all is None else _spread(estimate.spread_all, camera),
+        light_scale=None if estimate.light_scale is None else estimate.light_scale * camera.binning,
     )
 
 

@@ -20,6 +20,7 @@ from service.inference.state import FilterState
 Region = tuple[slice, slice]  # rows and columns of a frame
 _AROUND = 2.0  # radii of the body about where it is expected
 _MARGIN_PX = 32
+_RIM_PX = 3.0  # of a bright body's light in usual seeing
 _WORTH = 0.5  # of the frame's pixels: a region that is larger saves nothing
 """Numerical: where the object is not found in its region, the whole frame is looked at."""
 
@@ -66,6 +67,11 @@ class LightOfFrame:
     def wide(self) -> Sight | None:
         """The same with what lies further off, until almost all light is in it."""
         return None if self._box is None else self._sight(wider(self._light, self._pieces, self._box))
+
+    @property
+    def span_px(self) -> float | None:
+        """Longer side of the object's light without its rim, which the point spread adds; None: empty sky."""
+        return None if self._box is None else max(self._box.side - 2 * _RIM_PX, 1.0)
 
     def around(self, centre: NDArray[np.float64], reach_px: float, span_px: float, psf_px: float) -> Sight:
         """The light within ``reach_px`` of a place; where there is none, a square of ``span_px`` about it."""

@@ -57,7 +57,7 @@ from service.workers.cache import Cache
 from service.workers.decoding import Decoder, InPlace
 from service.workers.following import Following
 from service.workers.full_frame import camera_window, in_full_frame, lens_of, scale_in_window
-from service.workers.image_checks import require_same, require_size
+from service.workers.image_checks import require_same, require_sight, require_size
 from service.workers.machine import describe_machine
 from service.workers.motion import motion_of
 from service.workers.pictures import LitPictures, draw_silhouette
@@ -140,6 +140,7 @@ class Tracker:
         image = camera_window(camera, *size).cut(linear(whole, camera.transfer))
         sky = self._sky(job.config, job.background, job.blobs)
         require_same(image, sky.mean.shape, sky.spec.bits)
+        require_sight(job.scale_px, self._mesh(job.model, job.file_type, job.blobs).radius, size)
         decoded = time.perf_counter()
         if job.config.filter.method == "bootstrap":
             report = self._bootstrap(job, image, sky, began, decoded)

@@ -49,6 +49,25 @@ async def test_a_query(api):
     assert sky.json()["detail"].endswith("; did you mean `border`?")
 
 
+async def test_a_query_of_a_list(api):
+    session_id = await api.ready_session()
+    here = f"/v1/sessions/{session_id}"
+    for path, given, meant in (
+        ("/v1/sessions", "limt", "limit"),
+        ("/v1/models", "afer", "after"),
+        ("/v1/objects", "limt", "limit"),
+        ("/v1/keys", "limt", "limit"),
+        ("/v1/audit", "limt", "limit"),
+        (f"{here}/estimates", "smooth", "smoothed"),
+        (f"{here}/particles", "mst", "most"),
+        (f"{here}/events", "aftr", "after"),
+        ("/v1/objects/any/motion", "pas", "pass"),
+    ):
+        answer = await api.http.get(path, params={given: 1})
+        assert (answer.status_code, answer.json()["field"]) == (422, f"query:{given}"), path
+        assert answer.json()["detail"].endswith(f"; did you mean `{meant}`?")
+
+
 async def test_a_form(api):
     answer = await api.http.post("/v1/models", files={"file": ("cube.glb", CUBE)}, data={"joint": "[]"})
     assert (answer.status_code, answer.json()["field"]) == (422, "joint")

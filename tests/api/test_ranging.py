@@ -62,6 +62,9 @@ async def test_what_is_refused_when_the_session_is_begun(api):
     ):
         answer = await api.http.post("/v1/sessions", json={"model_id": model_id, **sections})
         assert (answer.status_code, answer.json()["type"]) == (422, "urn:skypose:problem:invalid-configuration")
+        assert "Value error" not in answer.text and not answer.json()["detail"].startswith(":")
+    siteless = (await api.http.post("/v1/sessions", json={"model_id": model_id, "prior": {"orbit": TLE}})).json()
+    assert siteless["field"] == "prior.orbit" and siteless["detail"].startswith("prior.orbit: needs the site: camera.")
 
 
 async def test_a_mistyped_orbit_is_told_when_the_session_is_begun(api):
@@ -107,6 +110,31 @@ async def test_a_direction_alone_is_compared_with_the_orbit(api):
         assert told.startswith("the camera points 3.0° away")
 
 
+async def test_a_size_that_no_pose_can_fit_is_told_by_the_light(make_app, anyio_backend):
+    class Lit(Recorder):
+        """Finds nothing that fits, in light of so many times the extent that the scale's bounds let the body have."""
+
+        times, status = 1.0, "no_target"
+
+        def track(self, job):
+            report, middle = super().track(job), sum(job.scale_px) / 2
+            best = replace(report.estimate.best, scale=middle)
+            told = {"status": self.status, "best": best, "light_scale": middle * self.times}
+            return replace(report, estimate=replace(report.estimate, **told))
+
+    async with running(make_app(Lit)) as api:
+        session_id = await api.ready_session(camera=CAMERA, prior={"orbit": TLE, "unit_m": 2.0})
+
+        async def told(index, times, status="no_target"):
+            Lit.times, Lit.status = times, status
+            return (await api.post(session_id, index, time=HIGH)).json()["warnings"]
+
+        assert await told(0, 1.0) == await told(1, 0.5) == await told(2, 3.0, "tracking") == []
+        for n, (times, said) in enumerate(((2.3, "2.3"), (1500.0, "1,500"), (0.001, "0.001"))):
+            expected = f"the light is {said} times as long as the body is by range, pixel scale and the model's unit"
+            assert await told(3 + n, times) == [expected]
+
+
 @pytest.mark.parametrize("status", ["tracking", "no_fit", "acquiring", "lost"])
 async def test_a_size_that_does_not_agree_is_told(make_app, anyio_backend, status):
     class Sized(Recorder):
@@ -127,5 +155,9 @@ async def test_a_size_that_does_not_agree_is_told(make_app, anyio_backend, statu
         assert bool(near) == (status == "no_fit")
         Sized.times = 1.5
         told = (await api.post(session_id, 2, time=HIGH)).json()["warnings"]
-    expected = ["the body is 50% larger than range, pixel scale and the model's unit say, or more"]
-    assert told == ([] if status == "lost" else expected)
+    expected = {
+        "no_fit": ["nothing fits within 10% of the size by range, pixel scale and the model's unit"],
+        "lost": [],
+    }
+    larger = ["the body is 50% larger than range, pixel scale and the model's unit say, or more"]
+    assert told == expected.get(status, larger)

@@ -22,6 +22,7 @@ async def test_refused_before_anything_is_accepted(make_app, tmp_path):
             ("foreign tenant", {"Authorization": f"Bearer {other}"}, "", 404),
             ("foreign page", {"Authorization": f"Bearer {key}", "Origin": "https://attacker.example"}, "", 403),
             ("made-up ticket", {}, "?ticket=x", 401),
+            ("misspelt", {"Authorization": f"Bearer {key}"}, "?aftr=3", 422),
         ):
             url = f"//{callers.address}/v1/sessions/{session_id}"
             with pytest.raises(websockets.InvalidStatus) as refusal:

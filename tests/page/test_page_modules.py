@@ -55,6 +55,26 @@ def test_a_pose_fills_the_box_of_its_moved_parts(answers):
     assert answers("body", body, pose) == pytest.approx([45, 50, 55, 70])
 
 
+def test_the_list_of_sessions_shows_the_newest_of_any_number(answers):
+    """The API begins with the oldest; a page of it that was passed is not asked for again."""
+    body = """
+      const asked = [], api = { json: async (url) => {
+        asked.push(url);
+        const page = Number(url.split("page=")[1] ?? 0);
+        return { sessions: [{ session_id: `${page}` }], next: page < 7 ? `more?page=${page + 1}` : null };
+      } };
+      const nav = document.createElement("nav");
+      nav.innerHTML = "<input><ul></ul>";
+      const list = new m.SessionList(nav, api, { choose() {}, changed() {} });
+      await list.refresh();
+      const first = asked.splice(0).length;
+      await list.refresh();
+      return { first, again: asked, shown: list.sessions.map((session) => session.session_id) };"""
+    found = answers("sessions", body)
+    assert found["shown"] == ["7", "6", "5", "4", "3"]
+    assert found["first"] == 8 and found["again"] == [f"more?page={page}" for page in range(3, 8)]
+
+
 def mode(wing: float, boom: float = 1.0) -> dict:
     pose = {"yaw_deg": 10, "pitch_deg": 20, "roll_deg": -30, "joints": {"wing": wing, "boom": boom}}
     return {"pose": pose, "spread": {"orientation_deg": 0.5}}

@@ -36,6 +36,7 @@ def sessions(server):
 def test_fits_its_screen_and_has_no_serious_accessibility_findings(server, sessions, open_page, width):
     page = open_page(f"{server.url}/#{sessions[0]}", width=width, height=844)
     shows(page, FRAMES - 1)
+    expect(page.locator(f'[data-session="{sessions[0]}"]')).to_be_in_viewport(ratio=0.9)
     assert overflow(page) == 0
     page.keyboard.press("d")  # more of everything
     assert overflow(page) == 0
@@ -160,6 +161,20 @@ def test_the_models_image_is_that_of_the_frame_asked_for(server, sessions, open_
     for route in held:
         route.continue_()
     picture_shows(page, 0)
+
+
+def test_a_models_image_that_takes_its_time_says_so(server, sessions, open_page):
+    page = open_page(f"{server.url}/#{sessions[0]}")
+    picture_shows(page, FRAMES - 1)
+    held = []
+    page.route("**/model.png", lambda route: held.append(route))
+    with page.expect_request("**/model.png"):
+        page.keyboard.press("d")
+    note = page.locator("#frame .stage.beside .note").first
+    expect(note).to_have_text("being made…")
+    for route in held:
+        route.continue_()
+    expect(note).not_to_have_text("being made…")
 
 
 def test_plots_tell_values_and_are_zoomed(server, sessions, open_page):

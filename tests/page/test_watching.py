@@ -1,5 +1,6 @@
 """Watching a session that others feed: nothing lost, nothing shown late without a mark, over restarts too."""
 
+import json
 import os
 import re
 import signal
@@ -124,6 +125,45 @@ def test_a_look_at_the_past_stays_while_the_pass_goes_on(server, http, open_page
         http.put(f"/v1/sessions/{session_id}/frames/{n}", content=given.frames[n], headers=PNG).raise_for_status()
     expect(page.locator("#timeline output")).to_have_text("1 / 5")
     assert shown(page) == 1
+    page.keyboard.press("l")
+    shows(page, 5)
+
+
+def test_a_page_that_was_too_slow_reads_what_it_missed_and_stays_where_it_is(server, http, open_page):
+    given = fake_pass(6)
+    session_id = begin(http, given, name="body.glb")
+
+    def put(*numbers):
+        for n in numbers:
+            http.put(f"/v1/sessions/{session_id}/frames/{n}", content=given.frames[n], headers=PNG).raise_for_status()
+
+    sockets = []
+
+    def between(socket):
+        """Between the page and the service: passes on what comes, but for frames 3 and 4."""
+        sockets.append(socket)
+        socket.connect_to_server().on_message(
+            lambda message: None if frame_of(message) in (3, 4) else socket.send(message)
+        )
+
+    def frame_of(message):
+        return json.loads(message).get("estimate", {}).get("index")
+
+    put(0, 1, 2)
+    page = open_page(server.url)
+    page.route_web_socket("**/stream*", between)
+    page.goto(f"{server.url}/#{session_id}")
+    page.reload()
+    shows(page, 2)
+    is_live(page)
+    page.keyboard.press("Home")
+    shows(page, 0)
+    put(3, 4)
+    sockets[-1].send('{"type": "resync-required", "seq": 5}')
+    expect(page.locator("#timeline output")).to_have_text("0 / 4")
+    assert shown(page) == 0 and len(sockets) > 1
+    put(5)
+    expect(page.locator("#timeline output")).to_have_text("0 / 5")
     page.keyboard.press("l")
     shows(page, 5)
 

@@ -97,7 +97,11 @@ export class FrameView {
   }
 
   showBeside(estimate) {
-    if (this.options.model) for (const picture of this.beside) picture.show(estimate);
+    if (!this.options.model) return;
+    this.beside.forEach((picture, k) => {
+      if (!picture.bitmap && this.notes[k].hidden) this.say(this.notes[k], "being made…"); // seconds, where the service has just been started
+      picture.show(estimate);
+    });
   }
 
   take(estimate, note) {

@@ -27,9 +27,9 @@ export class History {
     if (this.documents.size > MOST_DOCUMENTS) this.documents.delete(this.documents.keys().next().value);
   }
 
-  // The newest frames of a session that has `frames` so far.
+  // The newest frames of a session that has `frames` so far, of which some may be known.
   async load(frames) {
-    let after = Math.max(-1, frames - 1 - AT_FIRST);
+    let after = Math.max(this.last, frames - 1 - AT_FIRST);
     while (after < frames - 1) {
       const found = await this.page(after, PAGE);
       if (!found.length) return;

@@ -139,7 +139,7 @@ new Shortcuts([
   ["first frame, last frame", { Home: () => timeline.step(-Infinity), End: () => timeline.step(Infinity) }],
   ["back to live", { l: () => timeline.goLive() }],
   ["next session, the one before", { j: () => neighbour(1), k: () => neighbour(-1) }],
-  ["plots: nearer, farther, the whole pass", { "+": () => plots.zoom(), "-": () => plots.zoom(0.5), 0: () => plots.choose(null) }],
+  ["plots: the whole pass, nearer, farther", { "+": () => plots.zoom(), "-": () => plots.zoom(0.5), 0: () => plots.choose(null) }],
   ["new track", { n: () => create.open() }],
   ["outline of the best pose on or off", { o: () => tools.toggle("outlines") }],
   ["other modes on or off", { m: () => tools.toggle("modes") }],

@@ -11,6 +11,7 @@ export class SessionList {
     this.filter = nav.querySelector("input");
     this.filter.addEventListener("input", () => this.draw());
     this.sessions = [];
+    this.start = `/v1/sessions?limit=${PAGE}`; // of what is read: the API begins with the oldest
     this.chosen = null;
   }
 
@@ -23,20 +24,25 @@ export class SessionList {
 
   async refresh() {
     try {
-      const found = [];
-      let url = `/v1/sessions?limit=${PAGE}`;
-      for (let page = 0; url && page < MOST_PAGES; page++) {
-        const answer = await this.api.json(url);
-        found.push(...answer.sessions);
-        url = answer.next;
-      }
-      this.sessions = found.reverse();
+      this.sessions = await this.newest();
     } catch (error) {
       console.info("sessions:", error.message); // the stream's mark says that the service is away
       return;
     }
     this.draw();
     this.changed(this.sessions);
+  }
+
+  // Of the last pages. All are passed the first time, and not again.
+  async newest() {
+    let pages = [], url = this.start;
+    while (url) {
+      const { sessions, next } = await this.api.json(url);
+      pages = [...pages, { url, sessions }].slice(-MOST_PAGES);
+      url = next;
+    }
+    this.start = pages[0].url;
+    return pages.flatMap((page) => page.sessions).reverse();
   }
 
   draw() {
@@ -48,7 +54,16 @@ export class SessionList {
     this.state = state;
     const focused = document.activeElement?.dataset?.session;
     this.list.replaceChildren(...seen.map((session) => this.item(session)));
+    this.reveal();
     if (focused) this.list.querySelector(`[data-session="${focused}"]`)?.focus();
+  }
+
+  // On a phone the list is a row: the chosen one is brought into it, once, and the page stays where it is.
+  reveal() {
+    const { list } = this, chosen = list.querySelector("[aria-current]");
+    if (!chosen || this.revealed === this.chosen) return;
+    this.revealed = this.chosen;
+    list.scrollLeft += chosen.getBoundingClientRect().left - list.getBoundingClientRect().left;
   }
 
   item(session) {

@@ -5,8 +5,8 @@ import { Offline } from "./api.js";
 const FIRST_WAIT_MS = 300, LONGEST_WAIT_MS = 5000;
 
 export class Stream {
-  // handlers: estimate(document), resync(), problem(error), state(); `begin()` gives the event to go on after, and is
-  // asked again until it does; `ticket()` gives the query that opens the socket
+  // handlers: estimate(document), problem(error), state(); `begin()` gives the event to go on after, and is asked again
+  // until it does, and where events are missing; `ticket()` gives the query that opens the socket
   constructor(sessionId, { begin, ticket, heartbeatS, ...handlers }) {
     Object.assign(this, { sessionId, begin, ticket, handlers, seq: null, told: new Set() });
     this.silenceMs = 2.5 * heartbeatS * 1000;
@@ -50,8 +50,8 @@ export class Stream {
 
   take(message) {
     this.hear("live");
-    if (message.type === "resync-required") this.handlers.resync();
-    else if (message.type === "end" && message.reason !== "shutdown") this.finish();
+    if (message.type === "resync-required") return this.restart();
+    if (message.type === "end" && message.reason !== "shutdown") this.finish();
     else if (message.type === "estimate") this.handlers.estimate(message.estimate);
     this.seq = message.seq;
   }
@@ -59,6 +59,14 @@ export class Stream {
   hear(state) {
     this.heard = performance.now();
     this.become(state);
+  }
+
+  // Too slow: events are missing, which `begin` reads.
+  restart() {
+    const { socket } = this;
+    this.seq = this.socket = null;
+    socket.close();
+    this.connect();
   }
 
   // The mark of staleness says that the service is away; anything else that stands in the way is told, once.

@@ -32,7 +32,7 @@ export class Strip {
     const edge = { ...line, stroke: "transparent", points: { show: false } };
     const axis = { stroke: INK.text, font: FONT, ticks: { show: false }, grid: { stroke: INK.grid, width: 1 } };
     return {
-      width: 300, height: HEIGHT, padding: [8, 10, 0, 0], legend: { show: false },
+      width: 300, height: HEIGHT, padding: [8, 18, 0, 0], legend: { show: false },
       scales: { x: { time: false, auto: false }, y: { range: () => spec.range ?? rangeOf(this.scene.rows, spec) } },
       axes: [
         { ...axis, size: 22, gap: 2, space: 70, values: (plot, at) => at.map((time) => `${label(time)} s`) },

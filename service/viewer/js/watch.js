@@ -43,16 +43,17 @@ export class Watch {
       begin: () => this.begin(session, mine),
       ticket: (id) => this.ticket(id),
       estimate: (estimate) => this.take(estimate),
-      resync: () => this.open(session),
       problem: tellProblem,
       state: () => this.tick(),
     });
   }
 
-  // Model and history, before the stream. Resolves to the event after which the stream goes on.
+  // Model and history, before the stream, or what of it was missed. Resolves to the event after which the stream goes on.
   async begin(session, mine) {
-    this.modelId = null;
-    await this.setModel(session.model_id ?? session.model_ids[0]);
+    if (!mine.rows.length) {
+      this.modelId = null;
+      await this.setModel(session.model_id ?? session.model_ids[0]);
+    }
     if (this.history !== mine) return null;
     this.stream.hear("connecting");
     const now = await this.api.json(`/v1/sessions/${session.session_id}`); // its last_seq, before its history is read
@@ -60,7 +61,7 @@ export class Watch {
     if (this.history !== mine) return null;
     this.stream.hear("connecting");
     this.frames = Math.max(this.frames, now.frames);
-    if (mine.rows.length) this.showNewest();
+    this.showGrown();
     for (const id of session.model_ids ?? []) this.learnName(id).catch(tellProblem);
     return now.last_seq;
   }
@@ -82,10 +83,14 @@ export class Watch {
     this.drawing = true;
     requestAnimationFrame(() => {
       this.drawing = false;
-      if (!this.history?.rows.length) return;
-      if (this.cursor === null) this.showNewest();
-      else this.showPast();
+      this.showGrown();
     });
+  }
+
+  showGrown() {
+    if (!this.history?.rows.length) return;
+    if (this.cursor === null) this.showNewest();
+    else this.showPast();
   }
 
   showNewest() {
