@@ -21,7 +21,7 @@ def told_existence(mixture: Mixture) -> Array:
     """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body."""
     absent, fits, no_fit = mixture.existence
     met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    kept = fits * met * existence.of_this_body(mixture.discrepancy, mixture.log_chi2)
+    kept = fits * met * existence.of_this_body(mixture.discrepancy)
     return np.array([absent, kept, no_fit + fits - kept])
 
 

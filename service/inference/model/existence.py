@@ -96,35 +96,17 @@ def missed(searches: int, misses: int = 0, *, nats: float) -> float:
     return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
 
 
-def of_this_body(discrepancy: float, level: Array) -> float:
-    """Probability that the model is the body's, by the discrepancy that its frames ask for and by the ``level`` of what
-    it leaves over.
+def of_this_body(discrepancy: float) -> float:
+    """Probability that the model is the body's, by the discrepancy that its frames ask for.
 
-    Both are the same in all frames, so they count once, and not frame after frame.
+    It is the same in all frames, so it counts once, and not frame after frame.
     """
-    above = float(np.log(discrepancy / prior.DISCREPANCY_OWN))
+    above = max(float(np.log(discrepancy / prior.DISCREPANCY_OWN)), 0.0)
     own = -0.5 * (above / prior.DISCREPANCY_OWN_LOG_SIGMA) ** 2 + float(np.log(2 / prior.DISCREPANCY_OWN_LOG_SIGMA))
-    mean, sigma = prior.DISCREPANCY_UNLIKE
-    other = -0.5 * ((float(np.log(discrepancy / mean))) / sigma) ** 2 - float(np.log(sigma))
+    median, sigma = prior.DISCREPANCY_UNLIKE
+    other = -0.5 * (float(np.log(discrepancy / median)) / sigma) ** 2 - float(np.log(sigma))
     _, fits, no_fit = prior.EXISTENCE
-    return float(1 / (1 + no_fit / fits * np.exp(other - own - _log_odds_of_level(level))))
-
-
-def _log_odds_of_level(level: Array) -> float:
-    """Log density of what frames say of a level under this body's own mesh, over that under another's.
-
-    What they say is the Gaussian that makes ``level`` of the prior.
-    """
-    mean, sigma = prior.LOG_CHI2
-    precision = 1 / level[1] - 1 / sigma**2
-    if precision <= 0:
-        return 0.0
-    at, variance = (level[0] / level[1] - mean / sigma**2) / precision, 1 / precision
-    own, other = (
-        -0.5 * (at - m) ** 2 / (s**2 + variance) - 0.5 * np.log(s**2 + variance)
-        for m, s in (prior.LOG_CHI2_OWN, prior.LOG_CHI2_UNLIKE)
-    )
-    return float(own - other)
+    return float(1 / (1 + no_fit / fits * np.exp(other - own)))
 
 
 def goodness(hill: Hill, fit: Fit) -> Goodness:

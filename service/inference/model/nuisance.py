@@ -15,7 +15,7 @@ from service.inference.state import Array, Poses
 _CORES = tuple(float(v) for v in np.geomspace(0.4, 4.0, 12))  # numerical: grid, px of the frame
 _WINGS = (0.0, 0.4, 0.8, 1.3, 2.0, 3.0)  # numerical: grid, px of the frame
 # numerical: grid, two standard deviations of its log either way
-_DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in np.linspace(-0.7, 0.7, 7))
+_DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in np.linspace(-1.4, 1.4, 13))
 _LOOKS = 24  # numerical: grids are searched from where one stands: no more than this
 
 

@@ -100,9 +100,3 @@ def test_light_that_is_not_the_bodys_is_no_measure_of_it_but_what_was_known_is_s
     for _ in range(40):
         light = existence.usual_light(light, 5.0, 0.1)
     assert 5.0 < light < 5.1 and existence.usual_light(9.0, 5.0, 0.1) > 8.5
-
-
-def test_a_level_of_which_frames_say_nothing_tells_no_body_from_another():
-    nothing = existence.usual_chi2()
-    told = existence.of_this_body(prior.DISCREPANCY_OWN, nothing)
-    assert told == existence.of_this_body(prior.DISCREPANCY_OWN, nothing * [1.0, 2.0])  # less than nothing

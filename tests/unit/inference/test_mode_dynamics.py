@@ -99,14 +99,6 @@ def left_over(values) -> np.ndarray:
     return level
 
 
-def test_what_is_left_over_tells_this_body_from_another():
-    """By the level of a pass: it counts once, however many frames say the same."""
-    told = [existence.of_this_body(0.03, left_over([chi2] * 8)) for chi2 in (0.1, 0.5, 2.0, 10.0, 50.0)]
-    assert told == sorted(told, reverse=True) and told[1] > 0.95 and told[-1] < 0.1
-    few, many = (np.log(1 / existence.of_this_body(0.03, left_over([10.0] * n)) - 1) for n in (2, 30))
-    assert abs(many - few) < 0.5
-
-
 def test_a_body_that_left_little_over_is_disturbed_by_what_is_usual_for_another():
     """Sevenfold is a cloud where frames scatter by a third; where so much is usual, it says nothing."""
     clean, rough = (left_over([level * f for f in (1.0, 1.3, 0.8, 1.1)]) for level in (0.3, 2.1))
