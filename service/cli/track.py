@@ -68,7 +68,8 @@ def track(
     if free is not None or "joints" not in sections:
         names = tuple(joint.name for joint in model.articulation.joints)
         sections = laid_over(sections, joints={"free": list(choose_joints(free, names))})
-    plan = SessionPlan(None if mesh == NAME else Path(mesh), background, box, border, definitions, sections)
+    called = Path(model.name).stem
+    plan = SessionPlan(None if mesh == NAME else Path(mesh), background, box, border, definitions, sections, called)
     first = None if start is None else parse_time(start)
     run_offline(OfflinePass(model, plan, source, out, first, smoothed), as_json)
 

@@ -140,7 +140,9 @@ def test_run_makes_an_attitude_file_of_a_folder_of_fits(tmp_path, monkeypatch):
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows] == ["0.fits", "1.fits"]
     assert [datetime.fromisoformat(row["time"]) for row in rows] == [datetime.fromisoformat(r["time"]) for r in truth]
-    states = [state for one in AEM.from_str((out / "attitude.aem").read_text()).segments for state in one.states]
+    text = (out / "attitude.aem").read_text()
+    assert "OBJECT_NAME = demo\n" in text
+    states = [state for one in AEM.from_str(text).segments for state in one.states]
     assert len(states) == sum(row["status"] in ("acquiring", "ambiguous", "tracking") for row in rows)
     first = json.loads((out / "estimates.jsonl").read_text().splitlines()[0])
     assert first["orbit"]["range_km"] == pytest.approx(float(truth[0]["range_km"]), abs=1e-3)
