@@ -95,6 +95,8 @@ def run(
             return {
                 **_told(clients, faults),
                 **judged(tools[0], history.write(kept or folder / "history")),
+                "writes_fenced_off": site.said("nothing of the frame is stored"),
+                "commits_lost": site.said("commit lost"),
                 "stale_writes": site.database.stale_writes(),
                 "replayed_otherwise": replayed_otherwise(site, sessions, folder),
             }

@@ -58,6 +58,10 @@ class Site:
         """Where clients reach the processes."""
         return [f"http://127.0.0.1:{wire.port}" for wire in self.wires["clients"]]
 
+    def said(self, words: str) -> int:
+        """How often the processes' logs say that."""
+        return sum(web.log.read_text(errors="replace").count(words) for web in self.webs)
+
     def tell_logs(self) -> None:
         """What the processes said last."""
         for web in self.webs:
