@@ -70,6 +70,7 @@ class Wire:
         self._wires = wires
         self._target = target
         self._open: set[asyncio.WriteTransport] = set()
+        self._tasks: set[asyncio.Task[None] | None] = set()  # the loop itself would let go of those that wait
         self._changed = asyncio.Event()
 
     async def open(self) -> None:
@@ -95,7 +96,8 @@ class Wire:
         if self.weather.cut:
             _reset(writer.transport)
             return
-        ends = [writer]
+        ends, task = [writer], asyncio.current_task()
+        self._tasks.add(task)
         self._open.add(writer.transport)
         try:
             copies = 2 if self.weather.doubled_s else 1
@@ -107,6 +109,7 @@ class Wire:
             for end in ends:
                 _reset(end.transport)
         finally:
+            self._tasks.discard(task)
             for end in ends:
                 end.close()
                 self._open.discard(end.transport)
