@@ -58,7 +58,7 @@ class Soak:
                 index = await self._frame(http, session, index)
             if dice.random() < 0.3:
                 await self._watch(http, session)
-            (await http.delete(f"/v1/sessions/{session}")).raise_forstatus()
+            (await http.delete(f"/v1/sessions/{session}")).raise_for_status()
 
     async def _frame(self, http: httpx.AsyncClient, session: str, index: int) -> int:
         url = f"/v1/sessions/{session}/frames/{index}"
