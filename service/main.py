@@ -170,7 +170,7 @@ def _forwarding(settings: Settings, database: Database, me: Instance, ears: Ears
         raise ConfigError("with port 0 the other processes must be told how to reach it", field="SKYPOSE_INSTANCE_URL")
     cluster = Cluster(database, me, settings.lease_s, ears.heard, ears.resumed)
     patience_s = settings.database_wait_s + 2 * settings.lease_s
-    return Forwarding(ears.registry, metrics, cluster, Peers(database, me.id), patience_s)
+    return Forwarding(ears.registry, metrics, cluster, Peers(database, me.id, cluster.now), patience_s)
 
 
 @contextlib.asynccontextmanager

@@ -1,7 +1,8 @@
 """How processes on one database know each other: calls that one hands on to another are signed.
 
 The secret lies in the database they share, made by the first of them. Who calls was decided where the call came in; the
-signature carries that to the owner of the session, for this one call with this body, once, within a minute.
+signature carries that to the owner of the session, for this one call with this body, once, within a minute of the
+database's clock: what the machines' own clocks say does not matter, nor when they step.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import secrets
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import asdict
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 
 import structlog
 
@@ -21,19 +23,21 @@ from service.store.database import Database
 
 log = structlog.get_logger(__name__)
 HEADER = "x-skypose-peer"
+PEER_FIELD = f"header:{HEADER}"  # which part of a call is refused: none that a client sent
 FORWARDED = "forwarded"  # in a call's state: a peer handed it on
 BODY_SHA256 = "body_sha256"  # there too: what that peer signed
 _ALGORITHM = "HS256"
-_GOOD_FOR = timedelta(seconds=60)
-_SKEW = timedelta(seconds=30)
+_GOOD_FOR_S = 60.0
+_SKEW_S = 30.0  # between what two processes take for the database's time
 
 
 class Peers:
-    """Signs and checks calls between processes. ``me`` is this one's name."""
+    """Signs and checks calls between processes. ``me`` is this one's name, ``clock`` the time they have in common."""
 
-    def __init__(self, database: Database, me: str) -> None:
+    def __init__(self, database: Database, me: str, clock: Callable[[], float]) -> None:
         self._database = database
         self._me = me
+        self._clock = clock
         self._secret = ""
         self._used: OrderedDict[str, float] = OrderedDict()  # nonce -> until when it is remembered, in this order
 
@@ -47,7 +51,7 @@ class Peers:
 
         claims = {
             "aud": to,
-            "exp": datetime.now(UTC) + _GOOD_FOR,
+            "exp": self._clock() + _GOOD_FOR_S,
             "jti": secrets.token_urlsafe(16),
             "call": [method, target, body_sha256],
             "caller": [caller.tenant, caller.key_id, caller.role.value],
@@ -73,9 +77,13 @@ class Peers:
                 self._secret,
                 [_ALGORITHM],
                 audience=self._me,
-                leeway=_SKEW,
-                options={"require": ["aud", "exp", "jti", "call", "caller", "rates", "until"]},
+                options={
+                    "require": ["aud", "exp", "jti", "call", "caller", "rates", "until"],
+                    "verify_exp": False,  # it would look at this machine's clock
+                },
             )
+            if claims["exp"] + _SKEW_S < self._clock():
+                raise jwt.ExpiredSignatureError
             *signed, body_sha256 = claims["call"]
             if signed != [method, target] or not self._is_first(claims["jti"]):
                 raise jwt.InvalidTokenError
@@ -83,7 +91,7 @@ class Peers:
             raise StaleOwnerError("the process that this call was meant for has gone") from error
         except jwt.InvalidTokenError as error:
             log.warning("a call that says it comes from a peer is refused", reason=repr(error), call=target)
-            raise UnauthorizedError("no process of this cluster signed this call", field=f"header:{HEADER}") from error
+            raise UnauthorizedError("no process of this cluster signed this call", field=PEER_FIELD) from error
         tenant, key_id, role = claims["caller"]
         until = datetime.fromisoformat(claims["until"]) if claims["until"] else None
         return Principal(tenant, key_id, Role(role), until, KeyRates(**claims["rates"])), body_sha256
@@ -95,5 +103,5 @@ class Peers:
             self._used.popitem(last=False)
         if nonce in self._used:
             return False
-        self._used[nonce] = now + (_GOOD_FOR + 2 * _SKEW).total_seconds()
+        self._used[nonce] = now + _GOOD_FOR_S + 2 * _SKEW_S
         return True

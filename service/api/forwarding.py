@@ -18,11 +18,11 @@ import structlog
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import Response, StreamingResponse
 
-from service.access.peers import FORWARDED, HEADER, Peers
+from service.access.peers import FORWARDED, HEADER, PEER_FIELD, Peers
 from service.access.principal import Principal, SessionKey
 from service.api.digest import sha256
 from service.api.problems import NDJSON, problem_line, problem_type
-from service.errors import SkyposeError, StaleOwnerError, StoppingError
+from service.errors import SkyposeError, StaleOwnerError, StoppingError, UnauthorizedError
 from service.metrics import Metrics
 from service.sessions.cluster import Cluster, Instance
 from service.sessions.registry import Registry
@@ -152,8 +152,7 @@ class Forwarding:
         call.refused_since.pop(to.id, None)
         headers = {name: answer.headers[name] for name in _SENT_BACK if name in answer.headers}
         if answer.is_closed:
-            if answer.status_code == StaleOwnerError.status and orjson.loads(answer.content)["type"] in _ELSEWHERE:
-                raise StaleOwnerError("the process that had the session gives it up")
+            _raise_if_to_ask_again(answer)
             return Response(answer.content, answer.status_code, headers, answer.headers.get("content-type"))
         return StreamingResponse(self._lines(call.session, to, answer), answer.status_code, headers, NDJSON)
 
@@ -210,6 +209,14 @@ class Forwarding:
                 log.warning("nobody listens there: its session is taken", instance=instance)
                 return instance
         return None
+
+
+def _raise_if_to_ask_again(answer: httpx.Response) -> None:
+    """Raises ``StaleOwnerError`` for what is no answer to the call: it says something of the two processes alone."""
+    if answer.status_code == StaleOwnerError.status and orjson.loads(answer.content)["type"] in _ELSEWHERE:
+        raise StaleOwnerError("the process that had the session gives it up")
+    if answer.status_code == UnauthorizedError.status and orjson.loads(answer.content).get("field") == PEER_FIELD:
+        raise StaleOwnerError("the process that has the session did not take this one's signature")
 
 
 async def _next(pieces: AsyncIterator[bytes]) -> bytes | None:

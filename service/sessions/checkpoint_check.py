@@ -169,8 +169,8 @@ def check_history(record: SessionRecord, history: History) -> None:
         n + 1 for n in indexes
     ]:
         raise ValueError("the event log has gaps")
-    last = history["frames"][-1]["time_s"] if indexes else None
-    if record.time_s != last or (record.status is None) != (last is None):
+    last = (history["frames"][-1]["time_s"], history["estimates"][-1]["document"].get("status")) if indexes else None
+    if (record.time_s, record.status) != (last or (None, None)):
         raise ValueError("the session's time or status is not that of its last frame")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Callable
 
 import structlog
@@ -17,6 +18,7 @@ from service.store.signals import Heard, Signal
 __all__ = ["Cluster", "Instance"]
 log = structlog.get_logger(__name__)
 BEATS = 3  # in one lease: one may be late
+_PROMPT_S = 5.0  # an answer that took longer says little about what time it is
 
 
 class Cluster:
@@ -31,6 +33,11 @@ class Cluster:
         self._heard = heard
         self._resumed = resumed
         self._beating: asyncio.Task[None] | None = None
+        self._ahead_s: float | None = None  # of the database's clock before this machine's monotonic one
+
+    def now(self) -> float:
+        """Seconds since 1970 by the database's clock, however this machine's own is set."""
+        return time.monotonic() + (self._ahead_s or 0.0)
 
     async def start(self) -> None:
         """Begin the lease, and listen. The database is open."""
@@ -39,7 +46,8 @@ class Cluster:
         def heard(signal: Signal) -> None:
             _from_thread(loop, lambda: self._heard(signal))
 
-        await self._database.write(instances.register, self.me, self.lease_s)
+        begun = time.monotonic()
+        self._set(begun, await self._database.write(instances.register, self.me, self.lease_s))
         self._database.listen(heard, lambda: _from_thread(loop, self._resumed))
         self._beating = asyncio.create_task(self._beat())
         log.info("one of several processes", instance=self.me.id, url=self.me.url)
@@ -63,9 +71,16 @@ class Cluster:
         while True:
             await asyncio.sleep(self.lease_s / BEATS)
             try:
-                await self._database.write(instances.beat, self.me, self.lease_s)
+                begun = time.monotonic()
+                self._set(begun, await self._database.write(instances.beat, self.me, self.lease_s))
             except StorageError as error:
                 log.warning("lease not renewed; tried again", error=error.detail)
+
+    def _set(self, begun: float, now: float) -> None:
+        """The database's clock, as it was read since ``begun``."""
+        answered = time.monotonic()
+        if self._ahead_s is None or answered - begun < _PROMPT_S:
+            self._ahead_s = now - (begun + answered) / 2
 
 
 def _from_thread(loop: asyncio.AbstractEventLoop, call: Callable[[], None]) -> None:

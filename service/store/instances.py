@@ -35,20 +35,21 @@ def clock() -> ColumnElement[float]:
     return cast(extract("epoch", func.clock_timestamp()), Float)
 
 
-def register(connection: Connection, me: Instance, lease_s: float) -> None:
-    """Begin a lease. Whoever had this address before is gone, and its sessions are free at once."""
+def register(connection: Connection, me: Instance, lease_s: float) -> float:
+    """Begin a lease; what time it is. Whoever had this address before is gone, and its sessions are free at once."""
     old = (instances.c.url == me.url) | (instances.c.lease_until < clock() - FORGOTTEN_S)
     connection.execute(delete(instances).where(old, instances.c.id != me.id))
     connection.execute(delete(owners).where(owners.c.instance.not_in(select(instances.c.id))))
-    beat(connection, me, lease_s)
+    return beat(connection, me, lease_s)
 
 
-def beat(connection: Connection, me: Instance, lease_s: float) -> None:
-    """Go on with the lease."""
+def beat(connection: Connection, me: Instance, lease_s: float) -> float:
+    """Go on with the lease; what time it is by the database's clock."""
     until = clock() + lease_s
     query = update(instances).where(instances.c.id == me.id).values(lease_until=until)
     if connection.execute(query).rowcount == 0:
         connection.execute(insert(instances).values(id=me.id, url=me.url, lease_until=until))
+    return float(connection.execute(select(clock())).scalar_one())
 
 
 def leave(connection: Connection, me: Instance) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import orjson
 from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select, update
 
 from service.errors import DamagedError, NotFoundError, QuotaExceededError, StaleOwnerError
@@ -16,7 +17,7 @@ from service.store.pages import page_of
 from service.store.scope import SessionKey, public_id
 from service.store.seal import checked, record_values, row_of, sealed
 from service.store.signals import Signal, alone, send
-from service.store.tables import backgrounds, contenders, frames, particles, sessions
+from service.store.tables import backgrounds, contenders, estimates, frames, particles, sessions
 
 
 def add(connection: Connection, record: SessionRecord, quotas: Quotas = NO_QUOTAS) -> None:
@@ -87,11 +88,29 @@ def claim(
 
 
 def _require_whole(connection: Connection, record: SessionRecord) -> None:
-    """Raises ``DamagedError`` where the session's count and time, which no checksum holds, are not its last frame's."""
+    """Raises ``DamagedError`` where what no checksum holds, count, time and status, is not that of the last frame."""
     query = select(frames.c.idx, frames.c.time_s).where(frames.c.session_id == record.id)
     last = connection.execute(query.order_by(frames.c.idx.desc()).limit(1)).first()
-    if (record.next_index - 1, record.time_s) != ((-1, record.time_s) if last is None else tuple(last)):
+    fits = (record.next_index - 1, record.time_s) == ((-1, record.time_s) if last is None else tuple(last))
+    told = None if last is None else last_status(connection, record.id, last.idx)
+    if not fits or told not in (None, record.status):
         raise DamagedError(f"session {public_id(record.id)} and its frames do not fit together")
+
+
+def last_status(connection: Connection, session_id: SessionKey, index: int) -> str | None:
+    """The status that an estimate tells; None where it cannot be read. Raises ``DamagedError`` for a changed one."""
+    query = select(estimates).where(estimates.c.session_id == session_id, estimates.c.idx == index)
+    row = connection.execute(query).first()
+    return None if row is None else status_of(checked(estimates, row).document)
+
+
+def status_of(document: bytes) -> str | None:
+    """The status in a stored estimate; None where it cannot be read."""
+    try:
+        found = orjson.loads(document)
+    except orjson.JSONDecodeError:
+        return None
+    return found.get("status") if isinstance(found, dict) else None
 
 
 def require_owner(connection: Connection, session_id: SessionKey, epoch: int) -> None:

@@ -15,6 +15,7 @@ from sqlalchemy import JSON, Column, Connection, Table, Text, cast, func, inspec
 from service.errors import StorageError
 from service.store.database import NEWEST_REVISION, revision
 from service.store.seal import CHECKSUM, intact, is_sealed, row_name
+from service.store.sessions import status_of
 from service.store.tables import estimates, events, frames, metadata, particles, sessions
 
 Tell = Callable[[str], None]
@@ -92,25 +93,29 @@ def _foreign(connection: Connection, table: Table) -> Iterator[str]:
 
 def _gaps(connection: Connection) -> Iterator[str]:
     spans = {table.name: _spans(connection, table, column) for table, column in _SEQUENCES}
-    columns = (sessions.c.id, sessions.c.next_index, sessions.c.next_seq, sessions.c.time_s)
-    for session_id, next_index, next_seq, time_s in connection.execute(select(*columns)):
+    columns = (sessions.c.id, sessions.c.next_index, sessions.c.next_seq, sessions.c.time_s, sessions.c.status)
+    for session_id, next_index, next_seq, time_s, status in connection.execute(select(*columns)):
         for name, first, after in (("frames", 0, next_index), ("estimates", 0, next_index), ("events", 1, next_seq)):
             wanted = (after - first, first, after - 1) if after > first else (0, None, None)
             found = spans[name].get(session_id, (0, None, None))
             if found != wanted:
                 yield f"session {session_id}: {name} {_told(wanted)} are wanted, {_told(found)} found"
         if next_index:
-            yield from _unlike_its_last(connection, session_id, next_index - 1, time_s)
+            yield from _unlike_its_last(connection, session_id, next_index - 1, time_s, status)
     shown = (estimates.c.session_id == events.c.session_id) & (estimates.c.idx == events.c.idx)
     lost = select(events.c.session_id, events.c.seq).join(estimates, shown, isouter=True)
     for session_id, seq in connection.execute(lost.where(estimates.c.idx.is_(None))):
         yield f"session {session_id}: event {seq} is of no estimate"
 
 
-def _unlike_its_last(connection: Connection, session_id: str, last: int, time_s: float) -> Iterator[str]:
+def _unlike_its_last(connection: Connection, session_id: str, last: int, time_s: float, status: str) -> Iterator[str]:
     at = select(frames.c.time_s).where(frames.c.session_id == session_id, frames.c.idx == last)
     if connection.execute(at).scalar() not in (time_s, None):
         yield f"session {session_id}: its time is not that of its last frame"
+    told = select(estimates.c.document).where(estimates.c.session_id == session_id, estimates.c.idx == last)
+    document = connection.execute(told).scalar()
+    if document is not None and status_of(document) not in (None, status):
+        yield f"session {session_id}: its status is not that of its last estimate"
     state = select(particles.c.idx).where(particles.c.session_id == session_id, particles.c.idx == last)
     if connection.execute(state).first() is None:
         yield f"session {session_id}: its state, the particles of frame {last}, is missing"

@@ -1,14 +1,18 @@
 """A session moves to another server and goes on there as it would have here."""
 
+import json
 import struct
 import zlib
 from contextlib import asynccontextmanager
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from api_client import running
 from fake_worker import CUBE
 
-from service.workers.codec import FORMAT_VERSION
+from service.sessions.checkpoint import Checkpoint
+from service.workers.codec import FORMAT_VERSION, decode, encode
 
 pytestmark = pytest.mark.anyio
 JOINTS = CUBE + b"joint"
@@ -91,3 +95,14 @@ async def test_damage_and_other_versions_are_refused(api):
     assert (await api.http.put("/v1/sessions/a.b/checkpoint", content=blob)).status_code == 422
     assert (await api.http.get("/v1/sessions/x/checkpoint")).status_code == 404
     assert (await api.http.get("/v1/sessions")).json() == before
+
+
+async def test_a_status_that_is_not_the_last_estimates_is_refused(api):
+    session_id = await api.ready_session()
+    await api.post(session_id, 1)
+    packed = decode(Checkpoint, await checkpoint(api, session_id))
+    history = json.loads(packed.history.tobytes())
+    history["estimates"][-1]["document"]["status"] = "lost"
+    forged = encode(replace(packed, history=np.frombuffer(json.dumps(history).encode(), np.uint8)))
+    answer = await api.http.put("/v1/sessions/new/checkpoint", content=forged)
+    assert (answer.status_code, "time or status" in answer.json()["detail"]) == (422, True), answer.text

@@ -204,6 +204,23 @@ async def test_access_is_decided_where_the_call_comes_in(pair, tmp_path):
     assert [entry["action"].rpartition("/")[2] for entry in entries].count("move") == 1
 
 
+async def test_a_signature_that_the_owner_does_not_take_is_no_answer_to_the_client(pair, monkeypatch):
+    one, two = await pair()
+    session_id = await one.ready_session()
+    peers = one.app.state.services.forwarding.peers
+    verify, refused = peers.verify, []
+
+    def verify_once_more(token, method, target):
+        if not refused:
+            refused.append(token)
+            verify(token, method, target)  # as if a copy of the call had come first
+        return verify(token, method, target)
+
+    monkeypatch.setattr(peers, "verify", verify_once_more)
+    answer = await two.put(session_id, 0, 0)
+    assert (answer.status_code, answer.json()["index"], len(refused)) == (200, 0, 1)
+
+
 def test_the_target_is_the_path_as_it_came():
     scope = {"type": "http", "method": "PUT", "path": "/v1/a/b", "raw_path": b"/v1/a%2Fb", "query_string": b"x=1"}
     assert Call.of(Request({**scope, "headers": []}), "s", LOCAL).target == "/v1/a%2Fb?x=1"

@@ -144,11 +144,18 @@ class Database:
         """Address of the process that has the session."""
         return self._one("SELECT url FROM instances JOIN owners ON instance = id WHERE session_id = %s", session)
 
+    def bodies(self, session: str) -> list[bytes]:
+        """The files of a session's frames, in their order."""
+        query = "SELECT body FROM frame_bodies WHERE session_id = %s ORDER BY idx"
+        return [row[0] for row in self._all(query, session)]
+
     def _one(self, query: str, *values: object):
+        return next((row[0] for row in self._all(query, *values)), None)
+
+    def _all(self, query: str, *values: object) -> list[tuple]:
         while True:
             try:
                 with psycopg.connect(self._url) as connection:
-                    row = connection.execute(query, values).fetchone()
-                    return None if row is None else row[0]
+                    return connection.execute(query, values).fetchall()
             except psycopg.OperationalError:  # it is being restarted
                 time.sleep(0.05)

@@ -25,6 +25,7 @@ class Server:
         self._python = sys.executable if checkout is None else str(checkout / ".venv/bin/python")
         self.log = data.parent / f"{data.name}.log"
         self._worker = worker
+        self.environment: dict[str, str] = {}  # more of it, for the next start
         self._settings = {f"SKYPOSE_{name.upper()}": str(value) for name, value in settings.items()}
         self._process: subprocess.Popen[bytes] | None = None
         with socket.socket() as probe:
@@ -43,6 +44,7 @@ class Server:
             "SKYPOSE_PORT": str(self.port),
             "SKYPOSE_DATA_DIR": str(self.data),
             "FAKE_WORKER": self._worker or "",
+            **self.environment,
         }
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(

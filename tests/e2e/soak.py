@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+from memory import descendants, over_bound, peaks_mb, status
 from passes import PNG, Pass, box_pass
 from server_process import Server
 
@@ -31,6 +32,7 @@ class Soak:
         self._given: Pass = box_pass(32)
         self._counts: Counter[str] = Counter()
         self._samples: list[dict[str, float]] = []
+        self._peaks: dict[str, int] = {}
 
     async def run(self) -> dict[str, Any]:
         """The figures."""
@@ -87,10 +89,12 @@ class Soak:
             self._samples.append({"at": time.monotonic(), **await asyncio.to_thread(self._look)})
 
     def _look(self) -> dict[str, float]:
-        pids = [self._server.pid, *_descendants(self._server.pid)]
+        for name, peak in peaks_mb(self._server.pid).items():
+            self._peaks[name] = max(self._peaks.get(name, 0), peak)
+        pids = [self._server.pid, *descendants(self._server.pid)]
         return {
-            "rss_mb": sum(_status(pid, "VmRSS") for pid in pids) / 1024,
-            "threads": sum(_status(pid, "Threads") for pid in pids),
+            "rss_mb": sum(status(pid, "VmRSS") for pid in pids) / 1024,
+            "threads": sum(status(pid, "Threads") for pid in pids),
             "handles": sum(_handles(pid) for pid in pids),
             "database_mb_beyond_data": _beyond_data_mb(self._server.data / "skypose.sqlite3"),
         }
@@ -102,7 +106,9 @@ class Soak:
         met = all(growth[name]["share_of_level"] <= most for name, most in GROWTH.items())
         bad = [name for name in self._counts if name.startswith("status ") and name[7:] not in ("200", "429", "503")]
         minutes = round(self._seconds / 60, 1)
-        return {"minutes": minutes, **dict(self._counts), "growth": growth, "met": bool(met and not bad)}
+        over = over_bound(self._peaks)
+        told = {"growth": growth, "peak_mb": self._peaks, "over_bound": over}
+        return {"minutes": minutes, **dict(self._counts), **told, "met": bool(met and not bad and not over)}
 
 
 def _growth(at: np.ndarray, values: np.ndarray) -> dict[str, float]:
@@ -118,31 +124,11 @@ def _growth(at: np.ndarray, values: np.ndarray) -> dict[str, float]:
     }
 
 
-def _status(pid: int, name: str) -> int:
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    except OSError:
-        return 0  # it has ended since
-    return next((int(line.split()[1]) for line in lines if line.startswith(f"{name}:")), 0)
-
-
 def _handles(pid: int) -> int:
     try:
         return sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir())  # root's alone, unless the sandbox is off
     except (FileNotFoundError, ProcessLookupError):
         return 0
-
-
-def _descendants(pid: int) -> list[int]:
-    found: list[int] = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        try:
-            children = [int(child) for child in task.read_text().split()]
-        except OSError:
-            continue
-        for child in children:
-            found += [child, *_descendants(child)]
-    return found
 
 
 def _beyond_data_mb(file: Path) -> float:

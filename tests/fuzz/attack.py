@@ -20,6 +20,11 @@ TOLD = (
     *("ra_deg=10&dec_deg=20", "position_angle_deg=3", "az_deg=120&el_deg=45", "el_deg=91", "sun=1e308,1e308,1e308"),
 )
 EXPORTS = ("aem", "acm", "apm", "stk", "czml", "csv", "npz")
+ASKED = (
+    *("/motion", "/report", "/estimates?smoothed=true", "/export?format=czml&model=true", "/estimates/0/frame.png"),
+    *("/export?format=acm&smoothed=true&pose=best", "/estimates/0/model.png", "/estimates/0/residual.png"),
+)
+OBJECT = {"name": "an object", "sessions": ["SESSION"]}
 
 
 @dataclass
@@ -40,7 +45,7 @@ class Attacker:
         self._seed = seed
         self._images = [*image_seeds(), *video_seeds()]
         self._meshes = mesh_seeds()
-        self._model = self._upload(next(s for s in self._meshes if s.kind == "glb"))
+        self._models = [self._upload(next(s for s in self._meshes if s.kind == kind)) for kind in ("glb", "stl")]
         self.session, self._scratch = self._begin(), self._begin()
         self._checkpoint = http.get(f"/v1/sessions/{self.session}/checkpoint").raise_for_status().content
         self._attacks: tuple[Callable[[random.Random], None], ...] = (
@@ -104,7 +109,7 @@ class Attacker:
 
     def json_body(self, dice: random.Random) -> None:
         """A spoilt configuration."""
-        text = dice.choice(json_seeds()).replace(b"MODEL", self._model.encode())
+        text = dice.choice(json_seeds(*self._models))
         body = _json(spoil_json(dice, json.loads(text))).encode() if dice.random() < 0.7 else spoil(dice, text, text)
         answer = self._call("POST", "/v1/sessions", content=body, headers={"Content-Type": "application/json"})
         if answer is not None and answer.status_code == 201:
@@ -113,7 +118,23 @@ class Attacker:
             told = "&".join(dice.sample(TOLD, dice.randrange(4)))
             self._call("POST", f"/v1/sessions/{session}/frames?{told}", content=_frame(2), headers=PNG)
             self._call("GET", f"/v1/sessions/{session}/export?format={dice.choice(EXPORTS)}")
+            self._call("GET", f"/v1/sessions/{session}{dice.choice(ASKED)}")
+            if dice.random() < 0.2:
+                self.object_body(dice, session)
             self._delete(session)
+
+    def object_body(self, dice: random.Random, session: str) -> None:
+        """A spoilt object; where it is taken, everything is asked of it, here and of the sessions it has."""
+        body = _json(spoil_json(dice, {**OBJECT, "sessions": [session]}))
+        answer = self._call("POST", "/v1/objects", content=body, headers={"Content-Type": "application/json"})
+        if answer is None or answer.status_code != 201:
+            return
+        here = f"/v1/objects/{answer.json()['object_id']}"
+        self._call("PUT", f"{here}/sessions/{session}")
+        pass_number = dice.choice(("0", "-1", "1e9", "x", str(2**70)))
+        for path in ("", "/passes", f"/motion?pass={pass_number}", "/motion", "/spin", "/report"):
+            self._call("GET", here + path)
+        self._call("DELETE", here)
 
     def checkpoint(self, dice: random.Random) -> None:
         """A forged checkpoint; where it is taken, everything is asked of its session."""
@@ -122,7 +143,7 @@ class Attacker:
         answer = self._call("PUT", f"{here}/checkpoint", content=forge(dice, self._checkpoint))
         if answer is None or answer.status_code not in (200, 201):
             return
-        for path in ("", "/estimates", "/estimates?smoothed=true", "/estimates/0/overlay.png", "/checkpoint"):
+        for path in ("", "/estimates", "/estimates/0/overlay.png", "/checkpoint", *ASKED):
             self._call("GET", here + path)
         for kind in ("application/json", "application/x-npz"):
             self._call("GET", f"{here}/particles", headers={"Accept": kind})
@@ -141,7 +162,8 @@ class Attacker:
             *(f"{here}/frames?az_deg=10&el_deg=40&sun=1,2,3", f"{here}/background?border=4"),
             *(f"{here}/export?format=aem&object_id=1998-067A", f"{here}/particles?index=0&most=9"),
             *("/v1/models?limit=3&after=0", "/v1/sessions?limit=3", f"{here}/frames/by-key/x", "/v1/system"),
-            *("/v1/audit?after=1&limit=9",),
+            *("/v1/audit?after=1&limit=9", f"{here}/motion", f"{here}/report", "/v1/objects?limit=2&after=0"),
+            f"{here}/export?format=czml&model=true&smoothed=true",
         )
         path = spoil(dice, dice.choice(paths).encode(), b"?&=%/..").decode("latin-1")
         path = "/" + "".join(c if c.isascii() and c.isprintable() and c not in " #" else f"%{ord(c):02X}" for c in path)
@@ -170,7 +192,7 @@ class Attacker:
         return str(answer.raise_for_status().json()["model_id"])
 
     def _begin(self) -> str:
-        body = {"model_id": self._model, **SMALL}
+        body = {"model_id": self._models[0], **SMALL}
         session = str(self.http.post("/v1/sessions", json=body).raise_for_status().json()["session_id"])
         self.http.post(f"/v1/sessions/{session}/background", content=_frame(0), headers=PNG).raise_for_status()
         self._post_good(session).raise_for_status()

@@ -21,13 +21,11 @@ import httpx
 import structlog
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "e2e"))
+from memory import BOUNDS_MB, over_bound, peaks_mb
 from server_process import Server
 
 from tests.fuzz import direct, fields, forged, sockets
 from tests.fuzz.attack import Attacker
-
-SERVER_LIMIT_MB = 2048  # of the web process and of a worker
-DECODE_LIMIT_MB = 2048 + 256  # SKYPOSE_DECODE_MEMORY_MB, beside what the libraries take
 
 
 def files(count: int, seed: int) -> dict[str, Any]:
@@ -41,7 +39,7 @@ def files(count: int, seed: int) -> dict[str, Any]:
         "decoder_deaths": len(found.deaths),
         "slowest_s": round(found.slowest_s, 2),
         "peak_mb": found.peak_mb,
-        "over_limit": int(found.peak_mb > DECODE_LIMIT_MB),
+        "over_limit": int(found.peak_mb > BOUNDS_MB["decoder"]),
         "seconds": round(time.monotonic() - began, 1),
     }
 
@@ -78,7 +76,7 @@ def requests(count: int, frames: int, seed: int) -> dict[str, Any]:
                 attacker = Attacker(http, seed)
                 outcome = attacker.run(count)
                 wrong = [*outcome.wrong, *sockets.attack(http, attacker.session, frames, seed, server.port)]
-                peaks = {"web": direct.peak_mb(server.pid), "worker": max(map(direct.peak_mb, server.worker_pids()))}
+                peaks = peaks_mb(server.pid)
                 answer = http.get(f"/v1/sessions/{attacker.session}")
                 wrong += [] if answer.status_code == 200 else [f"the session afterwards: {answer.text}"]
         finally:
@@ -89,7 +87,7 @@ def requests(count: int, frames: int, seed: int) -> dict[str, Any]:
         "statuses": {str(status): n for status, n in sorted(outcome.statuses.items())},
         "wrong": wrong,
         "peak_mb": peaks,
-        "over_limit": sum(peak > SERVER_LIMIT_MB for peak in peaks.values()),
+        "over_limit": len(over_bound(peaks)),
     }
 
 

@@ -26,7 +26,7 @@ from service.main import create_app
 from service.models.articulations import read_joints
 from service.settings import Settings
 from service.workers.inline import InlineTransport
-from tests.fuzz.attack import EXPORTS, TOLD
+from tests.fuzz.attack import ASKED, EXPORTS, OBJECT, TOLD
 from tests.fuzz.mutate import VALUES, mend_glb, mend_urdf, spoil, spoil_json
 from tests.fuzz.seeds import Seed, json_seeds, mesh_seeds
 
@@ -51,9 +51,9 @@ async def run(count: int, seed: int) -> Findings:
     with tempfile.TemporaryDirectory() as folder:
         settings = Settings(data_dir=Path(folder), log_level="error", rate_calls_per_s=0, quota_sessions=0)
         async with running(create_app(settings, InlineTransport(FakeWorker))) as api:
-            model = (await api.model(CUBE + b"joint")).json()["model_id"]
+            models = [(await api.model(CUBE + body)).json()["model_id"] for body in (b"joint", b"another")]
             while found.inputs < count:
-                await _session(random.Random(seed << 32 | 2 * found.inputs + 1), api.http, model, found)
+                await _session(random.Random(seed << 32 | 2 * found.inputs + 1), api.http, models, found)
     return found
 
 
@@ -78,9 +78,9 @@ def _model(dice: random.Random, found: Findings) -> None:
         found.wrong.append(f"{chosen.kind} {given}: {type(error).__name__}: {error}")
 
 
-async def _session(dice: random.Random, http: httpx.AsyncClient, model: str, found: Findings) -> None:
+async def _session(dice: random.Random, http: httpx.AsyncClient, models: list[str], found: Findings) -> None:
     """One spoilt body of a session; where it is taken, a frame with what it is told, and an export."""
-    text = dice.choice(json_seeds()).replace(b"MODEL", model.encode())
+    text = dice.choice(json_seeds(*models, ("panel",)))
     good = dice.random() < 0.2
     body = text if good else json.dumps(spoil_json(dice, json.loads(text))).encode()
     if dice.random() < 0.1:
@@ -99,7 +99,24 @@ async def _session(dice: random.Random, http: httpx.AsyncClient, model: str, fou
     for path in (f"/export?format={dice.choice(EXPORTS)}", f"/estimates?smoothed=true&after={dice.choice((-1, 0))}"):
         await _call(http, "GET", here + path, found)
     await _call(http, "GET", f"{here}/estimates", found, params={"after": after})
+    await _call(http, "GET", here + dice.choice(ASKED), found)
+    if dice.random() < 0.2:
+        await _object(dice, http, answer.json()["session_id"], found)
     (await http.delete(here)).raise_for_status()
+
+
+async def _object(dice: random.Random, http: httpx.AsyncClient, session: str, found: Findings) -> None:
+    """A spoilt object with that session; where it is taken, what it tells."""
+    body = json.dumps(spoil_json(dice, {**OBJECT, "sessions": [session]})).encode()
+    json_kind = {"Content-Type": "application/json"}
+    answer = await _call(http, "POST", "/v1/objects", found, content=body, headers=json_kind)
+    if answer is None or answer.status_code != 201:
+        return
+    here = f"/v1/objects/{answer.json()['object_id']}"
+    for path in ("/passes", "/motion", "/spin", "/report"):
+        await _call(http, "GET", here + path, found)
+    await _call(http, "GET", f"{here}/motion", found, params={"pass": str(dice.choice(VALUES))[:300]})
+    await _call(http, "DELETE", here, found)
 
 
 async def _call(

@@ -19,6 +19,7 @@ from service.settings import Settings
 from service.workers.base import ModelJob, ModelReport
 from service.workers.inline import InlineTransport
 from service.workers.tracker import Tracker
+from tests.fuzz.attack import ASKED
 from tests.fuzz.mutate import forge
 
 CONFIG = {"filter": {"particles": 60}}
@@ -85,7 +86,7 @@ async def _try(http: httpx.AsyncClient, blob: bytes, name: str, found: Findings)
     answers = [await http.put(f"{here}/checkpoint", content=blob)]
     if answers[0].status_code in (200, 201):
         found.taken += 1
-        paths = ["", "/estimates", "/estimates?smoothed=true", "/estimates/0/overlay.png", "/checkpoint"]
+        paths = ["", "/estimates", "/estimates/0/overlay.png", "/checkpoint", *ASKED]
         paths += [f"/export?format={form}" for form in EXPORTS]
         answers += [await http.get(here + path) for path in paths]
         for kind in ("application/json", "application/x-npz"):

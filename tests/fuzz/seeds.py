@@ -134,30 +134,40 @@ def as_bytes(file: bytes | str) -> bytes:
     return file.encode() if isinstance(file, str) else file
 
 
-_PLAIN = (b'{"model_id": "MODEL"}', b'{"model_ids": ["MODEL", "MODEL"]}')
 TLE = (
     "1 25544U 98067A   26324.50000000  .00010000  00000-0  18000-3 0  9995\n"
     "2 25544  51.6400 100.0000 0005000  50.0000 310.0000 15.50000000    04"
 )
+MOTION = {
+    "kind": "constant_velocity",
+    "rotation_deg": 2.5,
+    "position": 0.05,
+    "log_scale": 0.016,
+    "joint_deg": 3.0,
+    "joint_range": 0.02,
+    "rate_spread": 10.0,
+    "rate_change": 2.0,
+    "frame_interval_s": 0.1,
+}
 
 
-def json_seeds() -> list[bytes]:
-    """Bodies of ``POST /v1/sessions``; MODEL stands for the model's id."""
+def json_seeds(model: str = "MODEL", other: str = "OTHER", joints: tuple[str, ...] = ()) -> list[bytes]:
+    """Good bodies of ``POST /v1/sessions`` with every field there is; ``joints`` are those of ``model``."""
     full = {
-        "model_id": "MODEL",
+        "model_id": model,
         "name": "x",
-        "filter": {"preset": "balanced", "particles": 100, "seed": 3},
-        "likelihood": {"feature": "intensity"},
-        "prior": {},
-        "motion": {"kind": "constant_velocity", "frame_interval_s": 0.1},
-        "camera": {"mirrored": False, "pixel_scale_arcsec": 0.2},
-        "joints": {"free": [], "fixed": {}},
+        "filter": {"preset": "balanced", "method": "auto", "particles": 100, "seed": 3, "resampler": "systematic"},
+        "prior": {"min_extent": 0.05, "max_extent": 0.9, "scale_px": 3.0, "scale_sigma": 0.03},
+        "motion": MOTION,
+        "camera": {"mirrored": False, "perspective": 800.0, "principal_point": [16.0, 12.0], "transfer": 0.45},
+        "joints": {"free": list(joints), "fixed": {}, "sun_tracking": list(joints), "sun_tracking_sigma_deg": 5.0},
+        "light": {"sun": [0.3, -0.2, -0.9], "sun_sigma_deg": 1.0},
     }
     known = {
-        "model_id": "MODEL",
+        "model_id": model,
         "background": "auto",
-        "likelihood": {"kind": "contrast", "shading_nats": 800.0, "edge_nats_per_px": 0.6},
-        "prior": {"orbit": TLE, "unit_m": 1.0, "scale_tolerance": 0.1, "scale_px": 3.0, "scale_sigma": 0.03},
+        "filter": {"particles": 60},
+        "prior": {"orbit": TLE, "unit_m": 1.0, "scale_tolerance": 0.1},
         "camera": {
             "mount": "altaz",
             "up_angle_deg": 10.0,
@@ -167,14 +177,20 @@ def json_seeds() -> list[bytes]:
             "site_latitude_deg": 48.0,
             "site_longitude_deg": 11.0,
             "site_height_m": 500.0,
-            "transfer": 0.45,
             "psf_sigma_px": 1.5,
             "roi": [2, 2, 20, 16],
             "background": "auto",
             "headers": "use",
+            "ser_byte_order": "little",
         },
-        "joints": {"free": "all", "fixed": {}},
-        "light": {"sun": [0.3, -0.2, -0.9], "sun_sigma_deg": 1.0},
+        "joints": {"free": "all"},
+        "light": {"sun": "auto"},
     }
-    paper = {"model_id": "MODEL", "filter": {"preset": "paper", "particles": 60}, "camera": {"transfer": "srgb"}}
-    return [*(json.dumps(one).encode() for one in (full, known, paper)), *_PLAIN]
+    paper = {
+        "model_id": model,
+        "filter": {"preset": "paper", "method": "bootstrap", "particles": 60, "backend": "cpu", "step": "host"},
+        "likelihood": {"feature": "intensity", "gradient_sigma_px": 1.0},
+        "camera": {"transfer": "srgb"},
+    }
+    plain = ({"model_id": model}, {"model_ids": [model, other]})
+    return [json.dumps(one).encode() for one in (full, known, paper, *plain)]

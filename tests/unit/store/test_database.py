@@ -57,7 +57,7 @@ def frame(index: int, epoch: int = 1, key: str | None = None) -> FrameRecord:
         query={},
         body=b"body",
         status="tracking",
-        document=b'{"index":%d}' % index,
+        document=b'{"index":%d,"status":"tracking"}' % index,
         state=b"state%d" % index,
         created_at="t",
     )

@@ -54,6 +54,7 @@ READS = {
     "events.idx = (idx + 1) % 3": (frames.event_page, "s", 0, 10),
     "sessions.next_index = 2": (sessions.claim, "s"),
     "sessions.time_s = time_s + 1": (sessions.claim, "s"),
+    "sessions.status = 'lost'": (sessions.claim, "s"),
     "api_keys.role = 'admin'": (api_keys.find, "k"),
     "api_keys.tenant = 'other'": (api_keys.find, "k"),
     "api_keys.sha256 = 'g'": (api_keys.find, "k"),

@@ -55,6 +55,7 @@ CHANGES = {
     "DELETE FROM particles": "session s: its state, the particles of frame 2, is missing",
     "UPDATE sessions SET next_index = 2": "session s: frames 0 to 1 (2) are wanted, 0 to 2 (3) found",
     "UPDATE sessions SET time_s = 7": "session s: its time is not that of its last frame",
+    "UPDATE sessions SET status = 'lost'": "session s: its status is not that of its last estimate",
     "UPDATE frames SET checksum = NULL": None,
 }
 
