@@ -74,6 +74,7 @@ def scene_of(
         hidden=40.0,
         censored=image >= most,
         point_spread=point_spread,
+        discrepancy=0.04,  # a smaller one would feel the wings that the kernel cuts off
         shifts=shifts,
         starry=starry,
     )
