@@ -35,7 +35,7 @@ RUN = {
         "skypose restore pass.sqlite3 --data skypose-data",
     ),
     "report": ("skypose report SESSION",),
-    "benchmarks": ("skypose simulate --random 3 --out passes",),
+    "passes": ("skypose simulate --random 3 --out passes",),
     "security": (
         'skypose keys create --role admin --name "me"',
         "skypose keys create --role operate --tenant acme --name dome-2",
@@ -99,7 +99,7 @@ def test_the_commands_of_a_page_run(name: str, typed: Callable[..., Result], pla
         if "revoke" in words:
             words[-1] = typed("keys", "list").stdout.splitlines()[1].split()[0]  # below the names of the columns
         typed(*(place.session_id if word == "SESSION" else word for word in words))
-    made = {"operations": "skypose-data/skypose.sqlite3", "benchmarks": "passes/pass_002/truth.csv"}
+    made = {"operations": "skypose-data/skypose.sqlite3", "passes": "passes/pass_002/truth.csv"}
     assert (place.folder / made.get(name, ".")).exists()
 
 
