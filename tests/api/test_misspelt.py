@@ -53,11 +53,11 @@ async def test_a_query_of_a_list(api):
     session_id = await api.ready_session()
     here = f"/v1/sessions/{session_id}"
     for path, given, meant in (
-        ("/v1/sessions", "limt", "limit"),
-        ("/v1/models", "afer", "after"),
-        ("/v1/objects", "limt", "limit"),
-        ("/v1/keys", "limt", "limit"),
-        ("/v1/audit", "limt", "limit"),
+        ("/v1/sessions", "limitx", "limit"),
+        ("/v1/models", "aftr", "after"),
+        ("/v1/objects", "limitx", "limit"),
+        ("/v1/keys", "limitx", "limit"),
+        ("/v1/audit", "limitx", "limit"),
         (f"{here}/estimates", "smooth", "smoothed"),
         (f"{here}/particles", "mst", "most"),
         (f"{here}/events", "aftr", "after"),
