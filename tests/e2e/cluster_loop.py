@@ -11,7 +11,6 @@ equal. A trigger in the database counts frames written under another epoch than 
 
 import argparse
 import contextlib
-import json
 import os
 import random
 import signal
@@ -29,6 +28,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[n]) for n in (2, 1)] + [str
 import httpx  # noqa: E402
 import numpy as np  # noqa: E402
 from cluster_clients import Client, Database, fake_session, moved  # noqa: E402
+from figures import finish  # noqa: E402
 from kill_loop import whole_history  # noqa: E402
 from postgres_server import Postgres  # noqa: E402
 from server_process import Server  # noqa: E402
@@ -288,11 +288,7 @@ def main() -> None:
         figures = run(given.kills, given.minutes, given.sessions, given.seed, postgres, one_by_one=given.one_by_one)
     finally:
         postgres.close()
-    text = json.dumps(figures, indent=1)
-    print(text)
-    if given.json:
-        given.json.write_text(text + "\n")
-    sys.exit(0 if good(figures) else 1)
+    finish(figures, good(figures), given.json)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ Afterwards the same frames go through an undisturbed service; the two histories 
 
 import argparse
 import contextlib
-import json
 import os
 import random
 import signal
@@ -25,6 +24,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[2]), str(Path(__file__).res
 
 import httpx  # noqa: E402
 import numpy as np  # noqa: E402
+from figures import finish  # noqa: E402
 from passes import PNG, begin, box_pass, comparable  # noqa: E402
 from server_process import Server  # noqa: E402
 
@@ -202,11 +202,7 @@ def command(run: Callable[[int, float, int], dict[str, Any]], says: str | None, 
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     figures = run(given.kills, given.minutes, given.seed)
-    text = json.dumps(figures, indent=1)
-    print(text)
-    if given.json:
-        given.json.write_text(text + "\n")
-    sys.exit(0 if figures["replay_bit_equal"] else 1)
+    finish(figures, figures["replay_bit_equal"], given.json)
 
 
 if __name__ == "__main__":

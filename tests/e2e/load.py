@@ -25,6 +25,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[2]), str(Path(__file__).res
 
 import httpx  # noqa: E402
 import numpy as np  # noqa: E402
+from figures import finish  # noqa: E402
 from hostile import Hostile, handles, table  # noqa: E402
 from passes import PNG, Pass, box_pass  # noqa: E402
 from server_process import Server  # noqa: E402
@@ -215,11 +216,7 @@ def main() -> None:
     given = parser.parse_args()
     given.seconds = given.seconds or (15.0 if given.kind == "hostile" else 60.0)
     figures = measure(given.kind, given)
-    text = json.dumps(figures, indent=1)
-    print(table(figures) if given.kind == "hostile" else text)
-    if given.json:
-        given.json.write_text(text + "\n")
-    sys.exit(0 if figures["met"] else 1)
+    finish(figures, figures["met"], given.json, table(figures) if given.kind == "hostile" else None)
 
 
 if __name__ == "__main__":

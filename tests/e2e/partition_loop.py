@@ -10,7 +10,6 @@ where they are missing.
 """
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -24,6 +23,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[n]) for n in (2, 1)] + [str
 import httpx  # noqa: E402
 import numpy as np  # noqa: E402
 from cluster_clients import fake_session  # noqa: E402
+from figures import finish  # noqa: E402
 from histories import History, MissingError, built_judge, judged  # noqa: E402
 from kill_loop import whole_history  # noqa: E402
 from partition_clients import Sharing  # noqa: E402
@@ -148,11 +148,7 @@ def main() -> None:
             figures = run(given.minutes, given.sessions, given.seed, postgres, tools, given.history)
         finally:
             postgres.close()
-    text = json.dumps(figures, indent=1)
-    print(text)
-    if given.json:
-        given.json.write_text(text + "\n")
-    sys.exit(0 if good(figures) else 1)
+    finish(figures, good(figures), given.json)
 
 
 if __name__ == "__main__":
