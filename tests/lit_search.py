@@ -44,10 +44,10 @@ def truth(seed: int, jointed: bool, rim_px: float = 26.0) -> Poses:
     return Poses(quaternion, np.array([[70.0, 75.0]]), np.log([rim_px / lit_body().radius]), joints)
 
 
-def sight_of(at: Poses, size: int = SIZE) -> Sight:
+def sight_of(at: Poses, size: int = SIZE, sun: np.ndarray = SUN) -> Sight:
     """The light of a frame that the model has made."""
     drawing = body(bool(at.joints.size)).fine
-    drawn = drawing.combined(at, SUN, shares(drawing, 700.0), View((0.0, 0.0), 1.0, size), QUALITY)
+    drawn = drawing.combined(at, sun, shares(drawing, 700.0), View((0.0, 0.0), 1.0, size), QUALITY)
     image = spread(drawn, PointSpread(1.3), 0.0)[0] + np.random.default_rng(0).normal(0, SIGMA, (size, size))
     light = Light(image.astype(np.float32), SIGMA, 1e-3, 1.0, np.zeros(image.shape, bool))
     box = find_light(light)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.inference.articulation import Articulation
 from service.inference.model.drawing import Drawing
 from service.inference.model.stages import Stage
 from service.inference.numerics.gauss_newton import ascend
@@ -18,6 +19,9 @@ from service.inference.state import Array, Poses
 
 HOPELESS = 100.0  # numerical: nats behind the best after two of the later stages' steps: none comes back
 SHARED_DEG = 5.0  # numerical: poses nearer than this are one basin while it is coarse
+# numerical: of a joint's range, 22 degrees of a whole turn: as far apart, two poses turned alike are two basins
+_JOINT_APART = 0.06
+_TURNED_ALIKE = 4  # numerical: basins that differ in their joints alone: more would crowd out other rotations
 
 
 @dataclass(frozen=True)
@@ -43,14 +47,15 @@ def climbed(hill: Hill, some: Candidates, stage: Stage, hopeless: float = np.inf
     """The best basins after a few steps of Gauss-Newton, best first; none of none."""
     if not len(some.found):
         return some
-    some = best_of(some, stage.kept, SHARED_DEG)
+    articulation = hill.drawing.articulation
+    some = best_of(some, stage.kept, articulation)
     out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance="none", hopeless=hopeless)
     moved = Candidates(
         concatenate(*[one.pose for one in out]),
         np.stack([one.sun for one in out]),
         np.array([one.log_posterior for one in out]),
     )
-    return best_of(moved, len(out), SHARED_DEG)
+    return best_of(moved, len(out), articulation)
 
 
 def joined(several: Sequence[Candidates]) -> Candidates:
@@ -62,23 +67,34 @@ def joined(several: Sequence[Candidates]) -> Candidates:
     )
 
 
-def best_of(some: Candidates, kept: int, degrees: float) -> Candidates:
-    """The best of each basin, best first."""
+def best_of(some: Candidates, kept: int, articulation: Articulation | None = None) -> Candidates:
+    """The best of each basin, best first. ``articulation``: poses turned alike are told apart by their joints."""
     order = np.argsort(-some.found)
-    order = order[distinct(some.poses[order[: 12 * kept]], np.deg2rad(degrees))][:kept]
+    order = order[distinct(some.poses[order[: 12 * kept]], np.deg2rad(SHARED_DEG), articulation)][:kept]
     return some[order]
 
 
-def distinct(poses: Poses, apart: float) -> NDArray[np.intp]:
-    """Indices of those that are no nearer than ``apart`` (rad) to one before them."""
+def distinct(poses: Poses, apart: float, articulation: Articulation | None = None) -> NDArray[np.intp]:
+    """Indices of those that are no nearer than ``apart`` (rad) to one before them, or have joints of their own."""
     kept = np.empty(len(poses), dtype=np.intp)
     held, count = np.empty((len(poses), 4)), 0
     near = np.cos(0.5 * apart)  # of the angle between two quaternions that far apart
     for k, quaternion in enumerate(poses.quaternion):
-        if not count or np.abs(held[:count] @ quaternion).max() < near:
+        alike = kept[:count][np.abs(held[:count] @ quaternion) >= near]
+        if not len(alike) or (articulation is not None and _moved_apart(poses, k, alike, articulation)):
             kept[count], held[count] = k, quaternion
             count += 1
     return kept[:count]
+
+
+def _moved_apart(poses: Poses, one: int, others: NDArray[np.intp], articulation: Articulation) -> bool:
+    """Whether a pose differs by a joint from each of the few others that are turned as it is."""
+    if len(others) >= _TURNED_ALIKE:
+        return False
+    spans = np.array([joint.maximum - joint.minimum for joint in articulation.joints])
+    off = np.abs(poses.joints[others] - poses.joints[one]) / spans
+    off = np.where(articulation.wrapping, np.minimum(off, 1 - off), off)
+    return bool(np.all(np.any(off >= _JOINT_APART, axis=1)))
 
 
 def log_prior(poses: Poses, suns: Array, told: PosePrior) -> Array:

@@ -22,6 +22,7 @@ from service.inference.model.candidates import (
 )
 from service.inference.model.drawing import Drawing
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
+from service.inference.model.proposing import propose
 from service.inference.model.shaking import SAME_DEG, shaken
 from service.inference.model.stages import (
     CLEAR,
@@ -31,7 +32,6 @@ from service.inference.model.stages import (
     ROUGH,
     SHARP,
     Body,
-    PatchLike,
     Sight,
     stage_hill,
 )
@@ -44,7 +44,6 @@ from service.inference.pose import concatenate, retract
 from service.inference.state import Poses
 
 BANK_SIZE = 4500  # numerical: rotations 12 degrees apart; as many again for each joint, three times at the most
-_PER_KIND = 80  # numerical: templates of each kind that are looked at with the likelihood
 # numerical: about half a step of the bank's, each axis
 _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06
 _MIRRORED = 3  # numerical: of the best, whose symmetry-equivalents are looked at
@@ -55,7 +54,7 @@ _LIT_SHARE = 0.65  # numerical: of a body's diameter that shows light, as a rule
 _TRIED = 60  # numerical: basins whose joints and Suns are tried anew
 _TOGETHER = 2  # numerical: joints that are tried in all combinations; more of them one after the other
 _VALUES = (8, 6)  # numerical: of each joint, alone or of two together
-_SUNS, _MORE_SUNS, _LIT_ANEW = 14, 48, 3  # numerical: tried roughly, and clearly with so many of the best
+_SUNS, _MORE_SUNS = 14, 48  # numerical: tried roughly, and clearly
 
 
 @dataclass(frozen=True)
@@ -108,14 +107,13 @@ def search(
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
-        again = under(hill, some[:_LIT_ANEW], _MORE_SUNS)
-        some = best_of(joined([some, *again]), SHARP.kept, SHARED_DEG)
+        some = best_of(joined([some, *under(hill, some, _MORE_SUNS)]), SHARP.kept, body.fine.articulation)
     if held is not None:
         known = climbed(hill, scored(hill, held), SHARP)
         rivals = some[np.flatnonzero(some.found > known.found[0] - _BEHIND)]
         if not shake and all(is_among(body, rivals[k : k + 1], known) for k in range(len(rivals.found))):
             return Found([], hill, nuisance)
-        some = best_of(joined([some, known]), SHARP.kept, SHARED_DEG)
+        some = best_of(joined([some, known]), SHARP.kept, body.fine.articulation)
     some = some[np.flatnonzero(some.found > some.found[0] - _BEHIND)]
     if alike is not None:
         first = some[:_MIRRORED]
@@ -152,7 +150,7 @@ def started(
     if rng is not None:
         some = jittered(rng, some, body.rough, told.tracking)
     hill = stage_hill(body.rough, sight, ROUGH, nuisance, told, speckle=False)
-    some = best_of(scored(hill, some), len(some.found), SHARED_DEG)
+    some = best_of(scored(hill, some), len(some.found))
     more = 1 + min(2, some.poses.joints.shape[1])  # joints ask for as many again
     some = climbed(hill, varied(hill, some), replace(FIRST, kept=more * FIRST.kept))
     return climbed(hill, varied(hill, some), replace(ROUGH, kept=more * ROUGH.kept))
@@ -217,31 +215,14 @@ def make_bank(body: Body, told: PosePrior) -> Bank:
     return banks.build(body.rough, suns, told.tracking)
 
 
-def propose(bank: Bank, patch: PatchLike, told: PosePrior) -> Candidates:
-    """The templates most like the frame: the best of each kind."""
-    seen = banks.looks(patch.image, patch.sigma)
-    log_scale = None if told.log_scale is None else told.log_scale - np.log(patch.binning)
-    scores, poses = banks.match(bank, seen, log_scale, told.log_scale_sigma)
-    chosen, suns = [], []
-    for k, here in enumerate(poses):
-        order = np.argsort(-scores[k])[: 3 * _PER_KIND]
-        order = order[scores[k][order] > 0]
-        order = order[distinct(here[order], np.deg2rad(SHARED_DEG))][:_PER_KIND]
-        chosen.append(here[order])
-        suns.append(bank.suns[order])
-    found = concatenate(*chosen)
-    position = found.position * patch.binning + np.asarray(patch.origin)
-    placed = Poses(found.quaternion, position, found.log_scale + np.log(patch.binning), found.joints)
-    return Candidates(placed, np.concatenate(suns), np.full(len(placed), -np.inf))
-
-
 def varied(hill: Hill, some: Candidates) -> Candidates:
     """What does not move is found first: with other joint values, and other Suns where none is told, it may fit."""
-    some = best_of(some, len(some.found), SHARED_DEG)
-    tried, joints, free = [some], hill.drawing.articulation.joints, searched_joints(hill.drawing, hill.told)
+    articulation = hill.drawing.articulation
+    some = best_of(some, len(some.found), articulation)
+    tried, joints, free = [some], articulation.joints, searched_joints(hill.drawing, hill.told)
     together = [free] if len(free) <= _TOGETHER else [[k] for k in free]
     for chosen in together if free else ():
-        few = best_of(joined(tried), _TRIED // len(chosen), SHARED_DEG)
+        few = best_of(joined(tried), _TRIED // len(chosen))
         count = _VALUES[min(len(chosen), len(_VALUES)) - 1]
         for at in np.ndindex(*[count] * len(chosen)):
             values = few.poses.joints.copy()
@@ -249,7 +230,7 @@ def varied(hill: Hill, some: Candidates) -> Candidates:
                 values[:, k] = joints[k].minimum + (place + 0.5) / count * (joints[k].maximum - joints[k].minimum)
             tried.append(scored(hill, replace(few, poses=replace(few.poses, joints=values))))
     if hill.told.towards_sun is None:
-        tried += under(hill, best_of(joined(tried), _TRIED, SHARED_DEG), _SUNS)
+        tried += under(hill, best_of(joined(tried), _TRIED, articulation), _SUNS)
     return joined(tried)
 
 

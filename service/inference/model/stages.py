@@ -91,11 +91,12 @@ class Stage:
     difference: float  # patch px
     quality: Quality
     trust: Trust
+    off: float = 0.0  # discrepancy at the least: a pose that is degrees off draws a body as a wrong mesh does
 
 
 # numerical: all of them
-FIRST = Stage(18, 1.5, 150, 1, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
-ROUGH = Stage(18, 1.5, 56, 2, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4))
+FIRST = Stage(22, 1.0, 150, 1, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4), 0.04)
+ROUGH = Stage(22, 1.0, 56, 2, 1.0, Quality(2, 96, ()), Trust(0.2, 0.15, 0.15, 0.4), 0.04)
 MIDDLE = Stage(28, 1.0, 24, 2, 0.7, Quality(2, 128), Trust())
 SHARP = Stage(44, 0.8, 10, 2, 0.6, Quality(3, 192), Trust())
 CLEAR = Stage(64, 1.2, 8, 6, 0.7, Quality(4, 256), Trust())  # the whole body, with speckle, still smooth
@@ -120,7 +121,7 @@ def stage_hill(
         patch.hidden,
         patch.censored,
         spread,
-        nuisance.discrepancy,
+        max(nuisance.discrepancy, stage.off),
         speckle,
         max(grain * stage.low_pass, prior.LOW_PASS_SHARE * spread.width),
         grain=grain,

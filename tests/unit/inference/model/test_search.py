@@ -20,16 +20,18 @@ from lit_search import (
 )
 
 from service.imaging.patch import Patch
+from service.inference.model import proposing
 from service.inference.model import search as searching
 from service.inference.model.candidates import Candidates, best_of, distinct, log_prior, scored
 from service.inference.model.nuisance import Nuisance
-from service.inference.model.search import make_bank, propose, search, varied
+from service.inference.model.proposing import propose
+from service.inference.model.search import make_bank, search, varied
 from service.inference.model.shaking import shaken
 from service.inference.model.stages import FINEST, Sight
 from service.inference.model.templates import Bank
 from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import exp_so3, retract
+from service.inference.pose import angle_between, exp_so3, multiply, retract
 from service.inference.state import Poses
 
 
@@ -240,10 +242,46 @@ def test_poses_near_one_before_them_are_not_distinct():
 
 def test_the_best_of_each_basin_come_best_first():
     some = candidates(np.array([0.0, 2.0, 50.0, 51.0, 120.0]), np.array([-5.0, -3.0, -9.0, -8.0, -np.inf]))
-    kept = best_of(some, 5, 5.0)
+    kept = best_of(some, 5)
     assert kept.found.tolist() == [-3.0, -8.0, -np.inf]
     assert kept.poses.joints[:, 0].tolist() == [1.0, 3.0, 4.0]
-    assert best_of(some, 1, 5.0).found.tolist() == [-3.0]
+    assert best_of(some, 1).found.tolist() == [-3.0]
+
+
+def test_poses_turned_alike_are_basins_of_their_own_where_their_joints_differ():
+    turns = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 1.0, 90.0])
+    some = candidates(turns, -np.arange(7.0))
+    panel = replace(some.poses, joints=np.array([[0.0], [30.0], [10.0], [-170.0], [-100.0], [100.0], [0.0]]))
+    some = replace(some, poses=panel)
+    joint = replace(lit_body().articulation.joints[0], minimum=-180.0, maximum=180.0)
+    articulation = replace(lit_body().articulation, joints=(joint,))
+    kept = best_of(some, 7, articulation).poses.joints[:, 0].tolist()
+    assert kept == [0.0, 30.0, -170.0, -100.0, 0.0]  # 10 degrees is near 0; four at the most are turned alike
+    assert best_of(some, 7).poses.joints[:, 0].tolist() == [0.0, 0.0]
+    around = replace(some, poses=replace(panel, joints=np.array([[-175.0], [175.0], *[[0.0]] * 5])))
+    assert best_of(around, 7, articulation).found.tolist() == [0.0, -2.0, -6.0]  # 10 degrees, the other way round
+
+
+def test_without_a_told_sun_a_template_stands_for_a_body_turned_together_with_its_sun(monkeypatch):
+    """Of one template alone, and a frame that shows it turned by an eighth about the line of sight."""
+    monkeypatch.setattr(proposing, "_TURNED", 16)
+    at, turn = truth(6, False), np.deg2rad(45.0)
+    whole = make_bank(body(False), PosePrior())
+    apart = np.rad2deg(angle_between(whole.poses.quaternion, at.quaternion[0]))
+    one = slice(int(np.argmin(apart)), int(np.argmin(apart)) + 1)
+    few = Bank(whole.suns[one], whole.poses[one], whole.pictures[:, one])
+    about = exp_so3(np.array([0.0, 0.0, turn]))
+    cosine, sine = np.cos(turn), np.sin(turn)
+    x, y, z = few.suns[0]
+    sun = np.array([cosine * x - sine * y, sine * x + cosine * y, z])
+    turned = replace(at, quaternion=multiply(about[None], few.poses.quaternion))
+    sight = sight_of(turned, sun=sun)
+    found = propose(few, sight.cut(sight.span, 28.0), PosePrior())
+    assert off_deg(found.poses, turned).min() < 1e-3
+    best = int(np.argmin(off_deg(found.poses, turned)))
+    assert found.suns[best] == pytest.approx(sun, abs=1e-6)
+    assert np.linalg.norm(found.poses.position[best] - turned.position[0]) < 3.0
+    assert len(propose(few, sight.cut(sight.span, 28.0), TOLD).found) <= 5  # kinds: it is not turned
 
 
 def test_what_is_scored_comes_best_first_with_its_own_pose():
@@ -268,7 +306,7 @@ def test_other_joint_values_are_tried():
     some = scored(hill, Candidates(start, SUN[None], np.array([-np.inf])))
     tried = varied(hill, some)
     assert len(tried.found) == 1 + 8
-    best = best_of(tried, 1, 5.0)
+    best = best_of(tried, 1)
     assert half_turns(best.poses, at) < 23.0
     assert best.found[0] > some.found[0] + 10.0
     assert ((tried.poses.joints >= -180) & (tried.poses.joints <= 250)).all()
@@ -279,6 +317,6 @@ def test_other_suns_are_tried_where_none_is_told():
     hill = rough_hill(sight_of(at), PosePrior())
     assert hill.sun_free and not rough_hill(sight_of(at)).sun_free
     some = scored(hill, Candidates(at, -SUN[None], np.array([-np.inf])))
-    best = best_of(varied(hill, some), 1, 5.0)
+    best = best_of(varied(hill, some), 1)
     assert best.found[0] > some.found[0] + 4.0
     assert best.suns[0] @ SUN > 0.5

@@ -1,0 +1,73 @@
+"""The templates most like a frame: where a search begins (docs/model.md, section 4)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.inference.model import bank as banks
+from service.inference.model.candidates import SHARED_DEG, Candidates, distinct, joined
+from service.inference.model.stages import PatchLike
+from service.inference.model.templates import Bank
+from service.inference.numerics.priors import PosePrior
+from service.inference.pose import exp_so3, multiply
+from service.inference.state import Array, Poses
+
+_PER_KIND = 80  # numerical: templates of each kind that are looked at with the likelihood
+# numerical: templates and ways to turn the frame together where no Sun is told: rotation and Sun 20 degrees apart
+_TURNED = 72_000
+
+
+def propose(bank: Bank, patch: PatchLike, told: PosePrior) -> Candidates:
+    """The templates most like the frame: the best of each kind.
+
+    Where no Sun is told, a template is as good for a body that is turned about the line of sight together with its
+    Sun: the frame, turned a few ways, is held against all of them.
+    """
+    count = 1 if told.towards_sun is not None else max(round(_TURNED / len(bank.poses)), 1)
+    turns = 2 * np.pi / count * np.arange(count)
+    met = [_met(bank, patch, told, turn) for turn in turns]
+    some = joined([_best(joined(of_kind)) for of_kind in zip(*met, strict=True)])
+    poses = some.poses
+    position = poses.position * patch.binning + np.asarray(patch.origin)
+    placed = Poses(poses.quaternion, position, poses.log_scale + np.log(patch.binning), poses.joints)
+    return Candidates(placed, some.suns, np.full(len(placed), -np.inf))
+
+
+def _met(bank: Bank, patch: PatchLike, told: PosePrior, turn: float) -> list[Candidates]:
+    """Of each kind the likest templates, in patch px, if the frame is turned by so much (rad) from x to y."""
+    seen = banks.looks(_turned(patch.image, turn), patch.sigma)
+    log_scale = None if told.log_scale is None else told.log_scale - np.log(patch.binning)
+    scores, poses = banks.match(bank, seen, log_scale, told.log_scale_sigma)
+    out = []
+    for score, here in zip(scores, poses, strict=True):
+        order = np.argsort(-score)[: 3 * _PER_KIND]
+        out.append(_turned_back(Candidates(here[order], bank.suns[order], score[order]), len(patch.image), turn))
+    return out
+
+
+def _best(some: Candidates) -> Candidates:
+    order = np.argsort(-some.found)[: 3 * _PER_KIND]
+    order = order[some.found[order] > 0]
+    return some[order[distinct(some.poses[order], np.deg2rad(SHARED_DEG))][:_PER_KIND]]
+
+
+def _turned(image: NDArray[np.float32], turn: float) -> NDArray[np.float32]:
+    """About its middle."""
+    if not turn:
+        return image
+    middle = 0.5 * (len(image) - 1)  # of pixels' centres
+    matrix = cv2.getRotationMatrix2D((middle, middle), -np.rad2deg(turn), 1.0)  # which turns from y to x
+    return np.asarray(cv2.warpAffine(image, matrix, image.shape[::-1], flags=cv2.INTER_LINEAR), np.float32)
+
+
+def _turned_back(some: Candidates, side: int, turn: float) -> Candidates:
+    """What poses in a turned picture mean in the picture itself."""
+    poses, cosine, sine = some.poses, np.cos(turn), np.sin(turn)
+    back: Array = np.array([[cosine, sine], [-sine, cosine]])
+    about = np.tile(exp_so3(np.array([0.0, 0.0, -turn])), (len(poses), 1))
+    position = 0.5 * side + (poses.position - 0.5 * side) @ back.T
+    moved = Poses(multiply(about, poses.quaternion), position, poses.log_scale, poses.joints)
+    suns = np.column_stack([some.suns[:, :2] @ back.T, some.suns[:, 2]])
+    return Candidates(moved, suns, some.found)
