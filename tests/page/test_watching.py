@@ -38,7 +38,7 @@ def test_thirty_estimates_a_second(server, http, open_page):
     """The page keeps pace: what is shown is not older at the end than before, and no frame is missing.
 
     On a machine with other work nothing can be said of delays, so what the page itself needs is held too: no more
-    than its main thread has. A quiet machine takes a quarter, one with much other work half; the long form is
+    than its main thread has (beside much other work half of it was seen). The long form:
     SKYPOSE_TEST_PAGE_SECONDS=600.
     """
     given = fake_pass(RATE_HZ * int(os.environ.get("SKYPOSE_TEST_PAGE_SECONDS", SECONDS)))
