@@ -58,6 +58,11 @@ class Articulation:
         return len(self.joints)
 
     @property
+    def spans(self) -> Array:
+        """(J,) of the joints' ranges, deg or model units."""
+        return np.array([joint.maximum - joint.minimum for joint in self.joints])
+
+    @property
     def wrapping(self) -> NDArray[np.bool_]:
         """(J,) joints that turn all the way round."""
         return np.array(

@@ -58,9 +58,13 @@ def mean_pose(poses: Poses, weights: Array, wrapping: NDArray[np.bool_]) -> Pose
 def tangent(origin: Poses, poses: Poses, wrapping: NDArray[np.bool_]) -> Array:
     """(N, 6 + J) tangent coordinates with joint differences of full-turn joints taken the short way round."""
     x = local(origin, poses)
-    if np.any(wrapping):
-        x[:, 6:] = np.where(wrapping, np.mod(x[:, 6:] + 180.0, 360.0) - 180.0, x[:, 6:])
+    x[:, 6:] = short_way(x[:, 6:], wrapping)
     return x
+
+
+def short_way(off: Array, wrapping: NDArray[np.bool_]) -> Array:
+    """(N, J) differences of joints, of full-turn joints (``wrapping``) the short way round."""
+    return np.asarray(np.where(wrapping, np.mod(off + 180.0, 360.0) - 180.0, off))
 
 
 def spread(poses: Poses, weights: Array, mean: Poses, wrapping: NDArray[np.bool_]) -> Spread:

@@ -37,9 +37,8 @@ def http(server):
 def test_thirty_estimates_a_second(server, http, open_page):
     """The page keeps pace: what is shown is not older at the end than before, and no frame is missing.
 
-    On a machine with other work nothing can be said of delays, so what the page itself needs is held too: no more
-    than its main thread has (beside much other work half of it was seen). The long form:
-    SKYPOSE_TEST_PAGE_SECONDS=600.
+    On a machine with other work nothing can be said of delays, so what the page itself needs is held too: less
+    than half of its main thread. The long form: SKYPOSE_TEST_PAGE_SECONDS=600.
     """
     given = fake_pass(RATE_HZ * int(os.environ.get("SKYPOSE_TEST_PAGE_SECONDS", SECONDS)))
     session_id = begin(http, given, name="body.glb")
@@ -60,7 +59,7 @@ def test_thirty_estimates_a_second(server, http, open_page):
     used_s = task_seconds(devtools) - used_s
     print(f"frames behind: median {statistics.median(behind)}, most {max(behind)};", end=" ")
     print(f"{1e3 * used_s / len(behind):.1f} ms of the main thread per estimate")
-    assert used_s / len(behind) < 1 / RATE_HZ
+    assert used_s / len(behind) < 0.5 / RATE_HZ
     assert statistics.median(behind[len(behind) // 2 :]) < RATE_HZ  # half of all frames are not a second old
     expect(page.locator("#timeline output")).to_have_text(f"{last} / {last}")
     page.get_by_role("slider", name="Frame").fill(str(last // 2))

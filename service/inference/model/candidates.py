@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
+from service.inference.estimate import short_way
 from service.inference.model.drawing import Drawing
 from service.inference.model.stages import Stage
 from service.inference.numerics.gauss_newton import ascend
@@ -91,10 +92,8 @@ def _moved_apart(poses: Poses, one: int, others: NDArray[np.intp], articulation:
     """Whether a pose differs by a joint from each of the few others that are turned as it is."""
     if len(others) >= _TURNED_ALIKE:
         return False
-    spans = np.array([joint.maximum - joint.minimum for joint in articulation.joints])
-    off = np.abs(poses.joints[others] - poses.joints[one]) / spans
-    off = np.where(articulation.wrapping, np.minimum(off, 1 - off), off)
-    return bool(np.all(np.any(off >= _JOINT_APART, axis=1)))
+    off = np.abs(short_way(poses.joints[others] - poses.joints[one], articulation.wrapping))
+    return bool(np.all(np.any(off >= _JOINT_APART * articulation.spans, axis=1)))
 
 
 def log_prior(poses: Poses, suns: Array, told: PosePrior) -> Array:

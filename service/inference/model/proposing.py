@@ -11,8 +11,8 @@ from service.inference.model.candidates import SHARED_DEG, Candidates, distinct,
 from service.inference.model.stages import PatchLike
 from service.inference.model.templates import Bank
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import exp_so3, multiply
-from service.inference.state import Array, Poses
+from service.inference.pose import exp_so3, multiply, rotation_matrices
+from service.inference.state import Poses
 
 _PER_KIND = 80  # numerical: templates of each kind that are looked at with the likelihood
 # numerical: templates and ways to turn the frame together where no Sun is told: rotation and Sun 20 degrees apart
@@ -64,10 +64,8 @@ def _turned(image: NDArray[np.float32], turn: float) -> NDArray[np.float32]:
 
 def _turned_back(some: Candidates, side: int, turn: float) -> Candidates:
     """What poses in a turned picture mean in the picture itself."""
-    poses, cosine, sine = some.poses, np.cos(turn), np.sin(turn)
-    back: Array = np.array([[cosine, sine], [-sine, cosine]])
-    about = np.tile(exp_so3(np.array([0.0, 0.0, -turn])), (len(poses), 1))
-    position = 0.5 * side + (poses.position - 0.5 * side) @ back.T
+    poses, about = some.poses, exp_so3(np.array([[0.0, 0.0, -turn]]))
+    back = rotation_matrices(about)[0]
+    position = 0.5 * side + (poses.position - 0.5 * side) @ back[:2, :2].T
     moved = Poses(multiply(about, poses.quaternion), position, poses.log_scale, poses.joints)
-    suns = np.column_stack([some.suns[:, :2] @ back.T, some.suns[:, 2]])
-    return Candidates(moved, suns, some.found)
+    return Candidates(moved, some.suns @ back.T, some.found)

@@ -126,10 +126,9 @@ def search(
 def is_among(body: Body, one: Candidates, others: Candidates) -> bool:
     """Whether a pose is another look at one of these: where it points, and its joints."""
     articulation = body.fine.articulation
-    spans = np.array([joint.maximum - joint.minimum for joint in articulation.joints])
     apart = np.abs(tangent(one.poses, others.poses, articulation.wrapping))
     near = np.linalg.norm(apart[:, :3], axis=1) < np.deg2rad(SHARED_DEG)
-    return bool(np.any(near & np.all(apart[:, 6:] <= _SAME_JOINT * spans, axis=1)))
+    return bool(np.any(near & np.all(apart[:, 6:] <= _SAME_JOINT * articulation.spans, axis=1)))
 
 
 def started(
@@ -163,7 +162,7 @@ def jittered(
     steps = np.zeros((len(some.found), 6 + some.poses.joints.shape[1]))
     steps[:, :3] = _BETWEEN_RAD * rng.standard_normal((len(steps), 3))
     steps[:, 5] = _BETWEEN_SCALES * rng.standard_normal(len(steps))
-    spans = np.array([joint.maximum - joint.minimum for joint in drawing.articulation.joints])
+    spans = drawing.articulation.spans
     steps[:, 6:] = _BETWEEN_JOINTS * spans * rng.standard_normal((len(steps), len(spans)))
     moved = retract(some.poses, steps)
     moved = replace(moved, joints=within(drawing, moved.joints))

@@ -9,7 +9,14 @@ from gpu.mesh import Mesh, assemble
 from gpu.raw_part import RawPart
 from gpu.reference import reference_scores
 from service.inference.articulation import Articulation, part_transforms
+from service.inference.model import search
 from service.inference.state import Poses
+
+
+@pytest.fixture
+def small_banks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Banks of a third of the templates, which draw in a third of the time."""
+    monkeypatch.setattr(search, "BANK_SIZE", 1500)
 
 
 @pytest.fixture(scope="session")

@@ -15,17 +15,13 @@ from lit_search import (
 )
 
 from service.inference.model import proposing
-from service.inference.model import search as searching
 from service.inference.model.proposing import propose
 from service.inference.model.search import make_bank
 from service.inference.model.templates import Bank
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, exp_so3, multiply
 
-
-@pytest.fixture(autouse=True)
-def _small_banks(monkeypatch):
-    monkeypatch.setattr(searching, "BANK_SIZE", 1500)
+pytestmark = pytest.mark.usefixtures("small_banks")
 
 
 def test_proposals_are_of_the_frame_apart_and_lit():

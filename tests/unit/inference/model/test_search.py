@@ -32,10 +32,7 @@ from service.inference.numerics.priors import PosePrior
 from service.inference.pose import exp_so3, retract
 from service.inference.state import Poses
 
-
-@pytest.fixture(autouse=True)
-def _small_banks(monkeypatch):
-    monkeypatch.setattr(searching, "BANK_SIZE", 1500)
+pytestmark = pytest.mark.usefixtures("small_banks")
 
 
 @pytest.mark.parametrize(("seed", "scale_told"), [(2, False), (4, True)])
