@@ -72,8 +72,8 @@ class LightEvidence:
     ) -> Answers:
         """``planes`` (N, Q, S, S): groups, even light, gloss of groups; none is lit where there is no even light.
 
-        ``terms``: of all poses, or of each its own, which may differ in priors, point spread and discrepancy. Each is
-        of the planes that ``which`` says, in order where nothing is said.
+        ``terms``: of all poses, or of each its own, which may differ in priors, point spread, discrepancy and
+        photons. Each is of the planes that ``which`` says, in order where nothing is said.
         """
         return self._run(planes, n_groups, terms if isinstance(terms, Sequence) else [terms], rounds, None, which)
 

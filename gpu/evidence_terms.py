@@ -135,7 +135,7 @@ class HostInputs:
     n_stars: int
     scalars: tuple[float, ...]
     spreads: NDArray[np.int32]  # (N, 4)
-    own: Numbers  # (N, 2)
+    own: Numbers  # (N, 4)
     radius: int  # of the widest spread, px
 
 
@@ -152,8 +152,8 @@ def inputs_of(several: Sequence[Terms], numbers: Sequence[int]) -> HostInputs:
     start = np.concatenate([np.atleast_2d(one) for one in starts]) if starts else np.zeros((1, 1), np.float32)
     arrays = (terms.offset, mean, precision, start, terms.data, marks, terms.slopes, terms.bumps)
     boxes = boxes_of(terms.stars)
-    scalars = (terms.noise, terms.photon, terms.hidden, terms.area, terms.edge**2, terms.gain, terms.star)
-    own = np.array([(one.wrong, one.width) for one in each], np.float32)
+    scalars = (terms.noise, terms.area, terms.edge**2, terms.gain, terms.star)
+    own = np.array([(one.wrong, one.width, one.photon, one.hidden) for one in each], np.float32)
     whole = (*arrays, weights, radii, np.concatenate(taps), boxes if len(boxes) else np.zeros((1, 5), np.int32))
     every = mean.shape[1] if mean.ndim == 2 else 0
     return HostInputs(whole, every, bool(starts), len(boxes), scalars, spreads, own, int(radii.max()))

@@ -51,13 +51,13 @@ def sight_of(at: Poses, size: int = SIZE, sun: np.ndarray = SUN) -> Sight:
     image = spread(drawn, PointSpread(1.3), 0.0)[0] + np.random.default_rng(0).normal(0, SIGMA, (size, size))
     light = Light(image.astype(np.float32), SIGMA, 1e-3, 1.0, np.zeros(image.shape, bool))
     box = find_light(light)
-    return Sight(lambda span, wanted: cut(light, box.centre, span, wanted), box.side, 1.1)
+    return Sight(lambda *square: cut(light, *square), box.centre, box.side, 1.1)
 
 
 def dark_sight() -> Sight:
     """A frame of the empty sky."""
     light = Light(np.zeros((SIZE, SIZE), np.float32), SIGMA, 1e-3, 1.0, np.zeros((SIZE, SIZE), bool))
-    return Sight(lambda span, wanted: cut(light, (72.0, 72.0), span, wanted), 40.0, 1.1)
+    return Sight(lambda *square: cut(light, *square), (72.0, 72.0), 40.0, 1.1)
 
 
 def off_deg(found: Poses, at: Poses) -> np.ndarray:

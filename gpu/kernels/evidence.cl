@@ -485,7 +485,7 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
 // where a pixel is known from below alone, added to twice the number of a piece that may be a star's; stars
 // (n_stars, 5): of each its number, rows and columns.
 // spreads (N, 4): of each pose its first component, how many they are, its first tap, and which of the drawn ones it
-// is. own (N, 2): C tau^2, width of the point spread.
+// is. own (N, 4): C tau^2, width of the point spread, variance per count, light of the sky that a body can hide.
 // out (N, 4): log evidence, chi2 of the body, log det, squared deviation; coefficients (N, planes) what `combined`
 // takes; values (N, unknowns) where they ended.
 __kernel void evidence(
@@ -495,22 +495,23 @@ __kernel void evidence(
     __global const float *bumps, __global const float *weights, __global const int *radii,
     __global const float *taps, __global const int *stars, const int groups, const int side, const int n_planes,
     const int speckle, const int shifts, const int rounds, const int length, const int n_stars,
-    const float sigma2, const float photon, const float hidden, const float area, const float edge2, const float gain,
-    const float star, __global const int *spreads, __global const float *own, __global float *out,
+    const float sigma2, const float area, const float edge2, const float gain, const float star,
+    __global const int *spreads, __global const float *own, __global float *out,
     __global float *coefficients, __global float *values, __global float *details, __global float *memory,
     const ulong each, volatile __global int *next)
 {
     const int more = (speckle ? HERMITE : 0) + (shifts ? 2 * BUMPS : 0), pixels = side * side;
     Scene s = {side, pixels, pixels + ODD * LANES, n_planes, n_planes - 1, n_planes - 1 + 6 + more, speckle,
-        shifts, rounds, 0, EVEN + 1 + more, length, n_stars, sigma2, photon, hidden, area, 0.0f, edge2, 0.0f, gain,
-        star};
+        shifts, rounds, 0, EVEN + 1 + more, length, n_stars, sigma2, 0.0f, 0.0f, area, 0.0f, edge2, 0.0f, gain, star};
     const Room r = room_in(memory + get_global_id(0) * each, s);
     prepare(s, r, slopes);
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
         __global const int *spread = spreads + 4 * pose;
         s.components = spread[1];
-        s.wrong = own[2 * pose];
-        s.width = own[2 * pose + 1];
+        s.wrong = own[4 * pose];
+        s.width = own[4 * pose + 1];
+        s.photon = own[4 * pose + 2];
+        s.hidden = own[4 * pose + 3];
         Box body;
         const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * pixels, offset,
             given_mean + (size_t)pose * every, given_precision + (size_t)pose * every,
@@ -547,7 +548,7 @@ __kernel void evidence(
         for (int p = 0; p < s.positives; ++p)
             drawn[p < groups ? p : p + 1] = bright * exp(offset[p] + given_mean[(size_t)pose * every + p]);
         for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + 1] = r.scale[m];
-        drawn[groups] = bright * (float)r.value[lit + 1] - hidden * (float)r.value[lit + 2];
+        drawn[groups] = bright * (float)r.value[lit + 1] - s.hidden * (float)r.value[lit + 2];
         tell_values(s, r, lit, given_mean + (size_t)pose * every, values + (size_t)pose * s.unknowns);
         if (details) {
             solve(r.normal, count, row, r.move);

@@ -173,7 +173,10 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1)
         residual = frames - level - smooth
         noise = _noise(residual[:, known])
-        hot = np.abs(mean - smooth) > _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
+        stands = mean - smooth
+        hot = np.abs(stands) > _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
+        # in every frame: where a telescope follows its object stars pass, and are gone when it is there
+        hot &= (residual * np.sign(stands) > 0.5 * np.abs(stands)).all(axis=0)
         mean = np.where(hot, mean, smooth) if len(frames) > 2 else smooth
     mean = mean + np.median(level, axis=0).astype(np.float32)
     return Sky(

@@ -31,7 +31,7 @@ class Light:
     image: Map
     sigma: float  # noise of one pixel of empty sky, counts
     photon: float  # variance per count of light, counts
-    hidden: float  # most light of the sky that a body can hide, counts
+    sky: float  # counts of the empty sky, with what the sensor adds to it
     censored: NDArray[np.bool_]  # at the sensor's upper end: at least so much
     origin: tuple[int, int] = (0, 0)  # its first pixel in the frame, where it is part of one
     stars: NDArray[np.uint8] | None = None  # numbers of its pieces that may be stars, 0 elsewhere
@@ -59,7 +59,7 @@ class Patch:
     image: Map  # (S, S)
     sigma: float  # noise of one patch pixel
     photon: float
-    hidden: float
+    sky: float  # counts of a frame pixel
     censored: NDArray[np.bool_]  # (S, S)
     stars: NDArray[np.uint8]  # (S, S) numbers of pieces of light that may be stars, 0 elsewhere
     origin: tuple[float, float]  # of its first corner, frame px
@@ -87,9 +87,8 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     above -= _own_level(above, sigma)
     photon = _photon_transfer(above, sigma)
     level = max(float(np.median(mean @ share)), 0.0)
-    hidden = min(level, sigma**2 / photon)
     censored = data.max(axis=2) >= (1 << bits) - 1
-    return Light(above, sigma, photon, hidden, censored, (columns.start, rows.start))
+    return Light(above, sigma, photon, level, censored, (columns.start, rows.start))
 
 
 def _own_level(above: Map, sigma: float) -> Map:
@@ -171,7 +170,7 @@ def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float
         image=np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32),
         sigma=light.sigma / binning,
         photon=light.photon / binning**2,
-        hidden=light.hidden,
+        sky=light.sky,
         censored=cv2.resize(censored, size, interpolation=cv2.INTER_AREA) > 0,
         stars=np.asarray(cv2.resize(np.asarray(stars, np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8),
         origin=(float(square.first[0]), float(square.first[1])),

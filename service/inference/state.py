@@ -77,6 +77,7 @@ class Mixture:
     searches: int  # that could not better the leader, one after the other
     misses: int  # that had not found it while another led
     since_search: int  # frames
+    photon: float | None = None  # variance per count of light; None: as each frame suggests
     searched_nats: float = 340.0  # log evidence against the empty sky where it was searched; as if 0.8 of them met it
 
 

@@ -139,9 +139,10 @@ class LightOfFrame:
         return None if box is None else self._seen(box.centre, box.side, self._psf)
 
     def _seen(self, centre: tuple[float, float], span_px: float, psf_px: float) -> Sight:
-        def patch(span: float, wanted: float) -> Patch:
+        def patch(centre: tuple[float, float], span: float, wanted: float) -> Patch:
             near = self._light.covers(square_around(centre, span, wanted))
             light = self._light if near else self._all
             return cut(light, centre, span, wanted)
 
-        return Sight(patch, span_px, psf_px, self._lens)
+        pieces = self._pieces.boxes + np.tile(self._light.origin, 2)
+        return Sight(patch, centre, span_px, psf_px, self._lens, pieces)

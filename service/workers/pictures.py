@@ -87,7 +87,7 @@ def model_light(
     width = psf_px or estimate_psf_sigma(np.asarray(np.abs(light.image) / light.sigma, np.float32)) or CORE_PX
     x, y = (float(value) for value in pose.position[0])
     span = 2 * body.fine.radius * float(np.exp(pose.log_scale[0]))
-    sight = Sight(lambda across, wanted: cut(light, (x, y), across, wanted), span, width, lens)
+    sight = Sight(lambda *square: cut(light, *square), (x, y), span, width, lens)
     told, nuisance = PosePrior(towards_sun=sun), Nuisance(width)
     if sun is None:
         rough = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)

@@ -112,8 +112,15 @@ def pass_through_kills(target: Server, kills: int, until: float, seed: int) -> t
                 acknowledged.append(comparable(put_until_answered(http, url, given.frames[n % 32])))
                 toll.answers.append(time.monotonic())
             knife.join()
+            tell(toll, kills, len(acknowledged))
         stored = whole_history(http, session_id)
     return check(acknowledged, stored), len(acknowledged), toll
+
+
+def tell(toll: Toll, kills: int, frames: int) -> None:
+    """A line for whoever waits, after about every twentieth of the kills."""
+    if len(toll.at) % max(1, kills // 20) == 0:
+        print(f"{toll.count} of {kills} kills, {frames} frames", file=sys.stderr, flush=True)
 
 
 def check(acknowledged: list[dict[str, Any]], stored: list[dict[str, Any]]) -> list[dict[str, Any]]:

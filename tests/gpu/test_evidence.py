@@ -71,7 +71,7 @@ def scene_of(
         image=np.minimum(image, most).astype(np.float32),
         sigma=5.0,
         photon=0.5,
-        hidden=40.0,
+        sky=40.0,
         censored=image >= most,
         point_spread=point_spread,
         discrepancy=0.04,  # a smaller one would feel the wings that the kernel cuts off

@@ -37,8 +37,8 @@ def http(server):
 def test_thirty_estimates_a_second(server, http, open_page):
     """The page keeps pace: what is shown is not older at the end than before, and no frame is missing.
 
-    On a machine with other work nothing can be said of delays, so what the page itself needs is held too: less
-    than half of its main thread. The long form: SKYPOSE_TEST_PAGE_SECONDS=600.
+    Nor does a long pass cost more by the estimate: by half more of its main thread's processor time in the second half
+    than in the first, at the most, in whatever units this machine has. The long form: SKYPOSE_TEST_PAGE_SECONDS=600.
     """
     given = fake_pass(RATE_HZ * int(os.environ.get("SKYPOSE_TEST_PAGE_SECONDS", SECONDS)))
     session_id = begin(http, given, name="body.glb")
@@ -46,20 +46,22 @@ def test_thirty_estimates_a_second(server, http, open_page):
     expect(page.locator("#link")).to_have_class("live")
     devtools = page.context.new_cdp_session(page)
     devtools.send("Performance.enable", {"timeDomain": "threadTicks"})  # processor time, not the clock on the wall
-    used_s = task_seconds(devtools)
-    behind, due = [], time.monotonic()
+    used_s = [task_seconds(devtools)]
+    behind, due, half = [], time.monotonic(), len(given.frames) // 2
     for n, image in enumerate(given.frames):
         http.put(f"/v1/sessions/{session_id}/frames/{n}", content=image, headers=PNG).raise_for_status()
         due += 1 / RATE_HZ
         time.sleep(max(0.0, due - time.monotonic()))  # the pace is what is tested
         behind.append(n - shown(page))
+        if n in (half - 1, 2 * half - 1):
+            used_s.append(task_seconds(devtools))
     last = len(given.frames) - 1
     shows(page, last)
     picture_shows(page, last)
-    used_s = task_seconds(devtools) - used_s
+    first_s, second_s = used_s[1] - used_s[0], used_s[2] - used_s[1]
     print(f"frames behind: median {statistics.median(behind)}, most {max(behind)};", end=" ")
-    print(f"{1e3 * used_s / len(behind):.1f} ms of the main thread per estimate")
-    assert used_s / len(behind) < 0.5 / RATE_HZ
+    print(f"{1e3 * first_s / half:.1f} and {1e3 * second_s / half:.1f} ms of the main thread per estimate")
+    assert second_s < 1.5 * first_s
     assert statistics.median(behind[len(behind) // 2 :]) < RATE_HZ  # half of all frames are not a second old
     expect(page.locator("#timeline output")).to_have_text(f"{last} / {last}")
     page.get_by_role("slider", name="Frame").fill(str(last // 2))

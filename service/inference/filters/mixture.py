@@ -18,6 +18,7 @@ from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import Quality
 from service.inference.model.dynamics import predicted, predicted_suns
+from service.inference.model.expected import lit_box
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.search import Found, search
 from service.inference.model.stages import FINEST, Stage, stage_hill
@@ -125,9 +126,12 @@ def ground(
     if before is None or ahead is None:
         return None, Nuisance(prior.CORE_PX)
     lead = int(np.argmax(ahead.log_weights))
-    nuisance = Nuisance(float(before.point_spread[0]), float(before.point_spread[1]), before.discrepancy)
+    core, wings = (float(one) for one in before.point_spread)
+    nuisance = Nuisance(core, wings, before.discrepancy, before.photon)
     reach = given.body.fine.radius * float(np.exp(ahead.poses.log_scale[lead]))
     sight = given.frame.around(ahead.poses.position[lead], _RIM * reach, before.span_px, nuisance.core)
+    leader = ahead.poses[lead : lead + 1], ahead.suns[lead : lead + 1]
+    sight = sight.over(lit_box(given.body.fine, *leader, ahead.paint[lead], sight.lens))
     return stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
 
 
@@ -185,6 +189,7 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         existence=updated.existence,
         point_spread=np.array([updated.nuisance.core, updated.nuisance.wings]),
         discrepancy=updated.nuisance.discrepancy,
+        photon=updated.nuisance.photon,
         log_chi2=updated.log_chi2,
         log_light=updated.log_light,
         span_px=hill.view.side * hill.view.binning / _SIGHT,

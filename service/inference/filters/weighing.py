@@ -11,11 +11,15 @@ from service.inference.domain import Domain
 from service.inference.estimate import tangent
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.model import existence, paint, prior
+from service.inference.model.candidates import turned_alike
 from service.inference.model.dynamics import corrected, new_born
 from service.inference.model.nuisance import Nuisance, log_prior, neighbour, scene_under
 from service.inference.model.search import Found
+from service.inference.model.stages import FINEST
 from service.inference.motion import MotionNoise
+from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.hill import Hill, Refined
+from service.inference.numerics.priors import Believed
 from service.inference.state import Array, Mixture
 
 MOST_MODES = 6  # numerical: that are kept
@@ -49,25 +53,34 @@ def weigh(
     """All modes with what the frame says of them, and of whether any of them is true."""
     modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
     lead = max(modes, key=lambda mode: mode.log_weight, default=None)
-    level: float | None = None  # weight of evidence in this frame alone
+    level, afresh = None, -np.inf  # weight of no evidence in this frame; evidence of the leader were its paint unknown
     other, looks = neighbour(nuisance, given.index), (-np.inf, -np.inf, -np.inf)
+    new = newborn(refined, ahead, found, given)
     if lead is not None:
         looks = looks_at(lead, hill, other)
-        afresh = looks[0]
+        others = [one.fit.log_evidence for one, k in new if k is not None and modes[k] is lead]
+        afresh = max([looks[0], *others])
         alone = lead.alone + afresh - lead.one.fit.log_evidence
         level = lead.log_weight - prior.EVIDENCE_TRUST * alone
-    new = newborn(refined, found, given.domain.wrapping)
-    modes += [born(one, level, len(new), noise, given.domain) for one in new]
+    for one, k in new:
+        if ahead is None or k is None:
+            unlearnt = paint.unlearnt(len(one.fit.coefficients))
+            modes.append(born(one, level, len(new), unlearnt, noise, given.domain))
+        else:
+            same = modes[k].log_weight - prior.EVIDENCE_TRUST * modes[k].alone
+            one = repainted(one, ahead.paint[k], hill, given.domain.wrapping)
+            modes.append(born(one, same, len(new), ahead.paint[k], noise, given.domain))
     best = max(modes, key=lambda mode: mode.log_weight)
     if best is not lead:
         looks = looks_at(best, hill, other)
-    afresh, unlike, elsewhere = looks
+    afresh, unlike, elsewhere = max(afresh, looks[0]), looks[1], looks[2]
     light = existence.log_light(hill, best.one.fit)
     known = existence.usual_chi2() if before is None else before.log_chi2
-    explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance)
+    explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance, hill)
     absent = existence.log_absent(hill)
     probabilities = hypotheses(best, (absent, afresh, unlike), nuisance, light, known, ahead, before)
     fits = float(probabilities[existence.FITS])
+    better = elsewhere + log_prior(other, hill) > best.one.fit.log_evidence + log_prior(nuisance, hill)
     return Updated(
         refined=[mode.one for mode in modes],
         rates=np.array([mode.rates for mode in modes]),
@@ -75,7 +88,7 @@ def weigh(
         paint=np.stack([paint.learnt(mode.one.fit, mode.paint, fits) for mode in modes]),
         log_weights=np.array([mode.log_weight for mode in modes]),
         existence=probabilities,
-        nuisance=other if elsewhere + log_prior(other) > best.one.fit.log_evidence + log_prior(nuisance) else nuisance,
+        nuisance=other if better else nuisance,
         log_chi2=existence.usual_chi2(known, best.one.fit.chi2, fits),
         log_light=existence.usual_light(None if before is None else before.log_light, light, fits),
         log_evidence=prior.EVIDENCE_TRUST * (explained - absent),
@@ -96,22 +109,24 @@ def followed(k: int, one: Refined, ahead: Predicted, domain: Domain) -> Weighed:
     return Weighed(one, rates, covariance, weight, narrowed + away, one.log_posterior - away, ahead.paint[k])
 
 
-def born(one: Refined, level: float | None, siblings: int, noise: MotionNoise, domain: Domain) -> Weighed:
+def born(
+    one: Refined, level: float | None, siblings: int, expected: Array, noise: MotionNoise, domain: Domain
+) -> Weighed:
     """A basin of a search: it might have been anywhere.
 
     ``level``: the weight of no evidence in this frame, of what was followed; None: nothing was. Beside a track only the
     height of its evidence counts: frames before this one would have narrowed it as they have narrowed the track.
+    ``expected`` (2, P): paint that its evidence is under.
     """
     d = len(one.covariance)
     narrow = 0.5 * float(np.linalg.slogdet(one.covariance)[1])
     share = narrow + 0.5 * d * float(np.log(2 * np.pi)) - domain.log_volume
-    unlearnt = paint.unlearnt(len(one.fit.coefficients))
     weight = prior.EVIDENCE_TRUST * one.log_posterior
     if level is None:
         weight += prior.EVIDENCE_TRUST * (narrow + 2 * float(np.log(one.sun_sigma)))
     else:
         weight += level + float(np.log(prior.BIRTH / siblings))  # one of them at the most is the truth
-    return Weighed(one, np.zeros(d), new_born(one.covariance, noise), weight, share, one.log_posterior, unlearnt)
+    return Weighed(one, np.zeros(d), new_born(one.covariance, noise), weight, share, one.log_posterior, expected)
 
 
 def looks_at(mode: Weighed, hill: Hill, other: Nuisance) -> tuple[float, float, float]:
@@ -147,12 +162,30 @@ def hypotheses(
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
 
 
-def newborn(refined: list[Refined], found: Found | None, wrapping: NDArray[np.bool_]) -> list[Refined]:
-    """Basins of a search that no mode holds already."""
+def newborn(
+    refined: list[Refined], ahead: Predicted | None, found: Found | None, given: Given
+) -> list[tuple[Refined, int | None]]:
+    """Basins of a search that no mode holds already, each with the mode that it is turned as; None: as no other.
+
+    Paint is the body's: another place for a mode has what the mode has learnt. A pose unlike all modes' says that they
+    were wrong, and that nothing is learnt yet.
+    """
     if found is None:
         return []
-    some = found.basins[:MOST_MODES]
-    return [one for one in some if not any(same_mode(one, other, wrapping) for other in refined)]
+    articulation, wrapping = given.body.fine.articulation, given.domain.wrapping
+    out: list[tuple[Refined, int | None]] = []
+    for one in found.basins[:MOST_MODES]:
+        if not any(same_mode(one, other, wrapping) for other in refined):
+            alike = None if ahead is None else turned_alike(one.pose, ahead.poses, articulation)
+            out.append((one, None if alike is None or not alike.any() else int(np.argmax(alike))))
+    return out
+
+
+def repainted(one: Refined, learnt: Array, hill: Hill, wrapping: NDArray[np.bool_]) -> Refined:
+    """A basin, climbed to its best under paint (2, P) that is known."""
+    free = np.zeros((1, *one.covariance.shape))
+    believed = Believed(one.pose, free, wrapping, learnt[None], one.sun[None], np.zeros(1))
+    return ascend(hill, one.pose, one.sun[None], steps=FINEST.steps, covariance="last", believed=believed)[0]
 
 
 def same_mode(one: Refined, other: Refined, wrapping: NDArray[np.bool_]) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
-from service.inference.estimate import short_way
+from service.inference.estimate import short_way, tangent
 from service.inference.model.drawing import Drawing
 from service.inference.model.stages import Stage
 from service.inference.numerics.gauss_newton import ascend
@@ -86,6 +86,13 @@ def distinct(poses: Poses, apart: float, articulation: Articulation | None = Non
             kept[count], held[count] = k, quaternion
             count += 1
     return kept[:count]
+
+
+def turned_alike(one: Poses, others: Poses, articulation: Articulation) -> NDArray[np.bool_]:
+    """(N,) which of N poses are another look at a batch of one: where it points, and its joints."""
+    apart = np.abs(tangent(one, others, articulation.wrapping))
+    near = np.linalg.norm(apart[:, :3], axis=1) < np.deg2rad(SHARED_DEG)
+    return np.asarray(near & np.all(apart[:, 6:] < _JOINT_APART * articulation.spans, axis=1))
 
 
 def _moved_apart(poses: Poses, one: int, others: NDArray[np.intp], articulation: Articulation) -> bool:

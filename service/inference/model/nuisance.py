@@ -1,4 +1,4 @@
-"""Point spread and discrepancy of a frame: found at its best poses, then held (docs/model.md, section 3)."""
+"""Point spread, discrepancy and photon transfer of a frame: found at its best poses, then held (docs/model.md, 3)."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ _CORES = tuple(float(v) for v in np.geomspace(0.4, 4.0, 12))  # numerical: grid,
 _WINGS = (0.0, 0.4, 0.8, 1.3, 2.0, 3.0)  # numerical: grid, px of the frame
 # numerical: grid, two standard deviations of its log either way
 _DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in np.linspace(-1.4, 1.4, 13))
+_PHOTON_STEP = 1.41  # numerical: half a standard deviation of its log
+_PHOTONS = tuple(float(_PHOTON_STEP**k) for k in range(-6, 3))  # numerical: grid, of what the frame's checkerboard has
 _LOOKS = 24  # numerical: grids are searched from where one stands: no more than this
 
 
@@ -26,6 +28,7 @@ class Nuisance:
     core: float  # s
     wings: float = 0.0  # w
     discrepancy: float = prior.DISCREPANCY
+    photon: float | None = None  # variance per count of light; None: as each frame's finest checkerboard has it
 
     def point_spread(self, binning: float) -> PointSpread:
         """On a patch of squares of so many px."""
@@ -72,31 +75,51 @@ def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> 
     return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
 
 
+def best_photon(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
+    """The photon transfer under which the best pose explains the frame best, prior included."""
+    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
+    seen = hill.scene.photon if hill.scene.seen_photon is None else hill.scene.seen_photon
+    found = hill.log_evidences_under(planes, [(hill.scene.under(photon=seen * share), None) for share in _PHOTONS])
+    values = found.max(axis=1) + [_log_prior_of_photon(share) for share in _PHOTONS]
+    return replace(start, photon=seen * _PHOTONS[int(np.argmax(values))] * hill.view.binning**2)
+
+
 def neighbour(now: Nuisance, turn: int) -> Nuisance:
-    """One of the three a step further on its grid: the air changes within a pass. ``turn`` counts frames."""
-    if turn % 3 == 2:
-        return replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn))
-    if turn % 3 == 1:
-        return replace(now, wings=_neighbour(_WINGS, now.wings, turn))
-    return replace(now, core=_neighbour(_CORES, now.core, turn))
+    """One of the four a step further on its grid: the air changes within a pass. ``turn`` counts frames."""
+    if turn % 4 == 3 and now.photon is not None:
+        return replace(now, photon=now.photon * (_PHOTON_STEP if turn % 8 == 3 else 1 / _PHOTON_STEP))
+    if turn % 4 == 2:
+        return replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn // 4))
+    if turn % 4 == 1:
+        return replace(now, wings=_neighbour(_WINGS, now.wings, turn // 4))
+    return replace(now, core=_neighbour(_CORES, now.core, turn // 4))
 
 
 def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:
     """The hill's frame under another point spread and discrepancy."""
     spread = nuisance.point_spread(hill.view.binning)
-    return hill.scene.under(point_spread=spread, discrepancy=nuisance.discrepancy)
+    photon = None if nuisance.photon is None else nuisance.photon / hill.view.binning**2
+    return hill.scene.under(point_spread=spread, discrepancy=nuisance.discrepancy, photon=photon)
 
 
-def log_prior(nuisance: Nuisance) -> float:
-    """Of all three, but for a constant."""
+def log_prior(nuisance: Nuisance, hill: Hill) -> float:
+    """Of all four in a frame, but for a constant."""
     deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
-    return _log_prior(nuisance.core, nuisance.wings) - 0.5 * deviation**2
+    out = _log_prior(nuisance.core, nuisance.wings) - 0.5 * deviation**2
+    if nuisance.photon is None or hill.scene.seen_photon is None:
+        return out
+    return out + _log_prior_of_photon(nuisance.photon / hill.view.binning**2 / hill.scene.seen_photon)
 
 
 def _neighbour(grid: tuple[float, ...], now: float, turn: int) -> float:
     """The next value of a grid, up or down by turns."""
     k = int(np.argmin(np.abs(np.array(grid) - now))) + (1 if turn % 2 else -1)
     return grid[min(max(k, 0), len(grid) - 1)]
+
+
+def _log_prior_of_photon(share: float) -> float:
+    deviation = float(np.log(share / prior.PHOTON_SHARE)) / prior.PHOTON_LOG_SIGMA
+    return -0.5 * deviation**2
 
 
 def _log_prior(core: float, wings: float) -> float:

@@ -17,6 +17,9 @@ WINGS_SIGMA_PX = 1.5  # w, frame px
 DISCREPANCY, DISCREPANCY_LOG_SIGMA = 0.02, 0.7  # tau, before a body is known
 DISCREPANCY_LENGTH = 17.0  # patch px over which the discrepancy is alike
 DISCREPANCY_LEAST = 18.0  # pixels' areas over which it is alike, at the least
+PHOTON_SHARE, PHOTON_LOG_SIGMA = 0.7, 0.7  # variance per count, of what a frame's checkerboard has, and its log: edges
+# leak into it (of 52 frames of 26 passes against the differences of two frames: -0.4 +- 0.6)
+PHOTON_UNSURE = 1.5  # a factor within which the transfer is known once a body is seen
 EDGE_PX = 2.0  # discrepancy of places: mesh and mean pose are so far from right, in units of tau
 POSE_DEGREES_OF_FREEDOM = 4.0  # of a pose: c tau^2 is known to a factor of two, a variance so known gives a Student t
 CHI2_DEGREES_OF_FREEDOM = 4.0  # that a frame's mean square of what is left over adds: it is alike all over a body

@@ -25,7 +25,7 @@ class Scene:
     image: Images  # (S, S) light above the sky, counts
     sigma: float  # noise of one pixel of empty sky, counts
     photon: float  # variance per count
-    hidden: float  # light of the sky that a body can hide at the most, counts
+    sky: float  # counts of the empty sky, with what the sensor adds to it
     censored: NDArray[np.bool_]  # (S, S)
     point_spread: PointSpread
     discrepancy: float = prior.DISCREPANCY  # tau
@@ -34,6 +34,7 @@ class Scene:
     grain: float = 1.0  # px in which lengths of the discrepancy are told: a patch may be coarser where all is blurred
     light: prior.LightPrior = field(default_factory=prior.LightPrior)
     starry: NDArray[np.uint8] | None = None  # (S, S) numbers of light that may be a star's, 0 elsewhere
+    seen_photon: float | None = None  # variance per count, as the frame's finest checkerboard has it
 
     @property
     def side(self) -> int:
@@ -62,6 +63,11 @@ class Scene:
         """c: pixels' areas over which the discrepancy is alike."""
         return max(prior.DISCREPANCY_LEAST, (self.grain * prior.DISCREPANCY_LENGTH) ** 2 / self.area)
 
+    @property
+    def hidden(self) -> float:
+        """S: light of the sky that a body can hide at the most, counts: its photons are no more than its noise."""
+        return min(self.sky, prior.PHOTON_UNSURE * self.sigma**2 / max(self.photon, 1e-12))
+
     @cached_property
     def full(self) -> NDArray[np.bool_]:
         """(S, S) pixels of which only a least value is known."""
@@ -82,12 +88,19 @@ class Scene:
         """Log gain to start from: that of the brighter light in the frame."""
         return log(max(float(np.quantile(self.data, _BRIGHTER)), 3 * self.sigma))
 
-    def under(self, *, point_spread: PointSpread | None = None, discrepancy: float | None = None) -> Scene:
-        """The same frame, with the low pass it has, under another point spread or discrepancy."""
+    def under(
+        self,
+        *,
+        point_spread: PointSpread | None = None,
+        discrepancy: float | None = None,
+        photon: float | None = None,
+    ) -> Scene:
+        """The same frame, with the low pass it has, under another point spread, discrepancy or photon transfer."""
         other = replace(
             self,
             point_spread=point_spread or self.point_spread,
             discrepancy=self.discrepancy if discrepancy is None else discrepancy,
+            photon=self.photon if photon is None else photon,
             low_pass=self.smoothing,
         )
         for name in ("data", "area", "full", "stars", "gain"):  # of the frame and its low pass alone

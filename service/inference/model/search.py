@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.inference.estimate import tangent
 from service.inference.model import bank as banks
 from service.inference.model.candidates import (
     HOPELESS,
-    SHARED_DEG,
     Candidates,
     best_of,
     climbed,
@@ -19,9 +17,11 @@ from service.inference.model.candidates import (
     joined,
     scored,
     searched_joints,
+    turned_alike,
 )
 from service.inference.model.drawing import Drawing
-from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
+from service.inference.model.expected import lit_box
+from service.inference.model.nuisance import Nuisance, best_discrepancy, best_photon, best_spread
 from service.inference.model.proposing import propose
 from service.inference.model.shaking import SAME_DEG, shaken
 from service.inference.model.stages import (
@@ -49,7 +49,6 @@ _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06
 _MIRRORED = 3  # numerical: of the best, whose symmetry-equivalents are looked at
 _WIDER = 1.3  # numerical: so much more must a wider sight span
 _BEHIND = 40.0  # numerical: nats behind the best at the sharp stage: of 52 frames the truth was 21 at the most
-_SAME_JOINT = 0.05  # numerical: of a joint's range: within so much it is the same value
 _LIT_SHARE = 0.65  # numerical: of a body's diameter that shows light, as a rule: how far a patch reaches
 _TRIED = 60  # numerical: basins whose joints and Suns are tried anew
 _TOGETHER = 2  # numerical: joints that are tried in all combinations; more of them one after the other
@@ -100,6 +99,7 @@ def search(
             sight, some = wide, others
     if not len(some.found):
         return Found([], stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance)
+    sight = sight.over(lit_box(body.rough, some.poses[:1], some.suns[:1], lens=sight.lens))
     hill = stage_hill(body.middle, sight, MIDDLE, nuisance, told, speckle=False)
     more = 1 + min(1, some.poses.joints.shape[1])
     some = climbed(hill, scored(hill, some), replace(MIDDLE, kept=more * MIDDLE.kept))
@@ -111,7 +111,10 @@ def search(
     if held is not None:
         known = climbed(hill, scored(hill, held), SHARP)
         rivals = some[np.flatnonzero(some.found > known.found[0] - _BEHIND)]
-        if not shake and all(is_among(body, rivals[k : k + 1], known) for k in range(len(rivals.found))):
+        if not shake and all(
+            turned_alike(rivals.poses[k : k + 1], known.poses, body.fine.articulation).any()
+            for k in range(len(rivals.found))
+        ):
             return Found([], hill, nuisance)
         some = best_of(joined([some, known]), SHARP.kept, body.fine.articulation)
     some = some[np.flatnonzero(some.found > some.found[0] - _BEHIND)]
@@ -121,14 +124,6 @@ def search(
         suns = np.tile(first.suns, (len(poses) // len(first.poses), 1))
         some = joined([some, Candidates(poses, suns, np.full(len(poses), -np.inf))])
     return finished(body, sight, some, nuisance, told, shake)
-
-
-def is_among(body: Body, one: Candidates, others: Candidates) -> bool:
-    """Whether a pose is another look at one of these: where it points, and its joints."""
-    articulation = body.fine.articulation
-    apart = np.abs(tangent(one.poses, others.poses, articulation.wrapping))
-    near = np.linalg.norm(apart[:, :3], axis=1) < np.deg2rad(SHARED_DEG)
-    return bool(np.any(near & np.all(apart[:, 6:] <= _SAME_JOINT * articulation.spans, axis=1)))
 
 
 def started(
@@ -193,9 +188,12 @@ def finished(
 def finest_hill(
     body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior
 ) -> tuple[Hill, Nuisance]:
-    """The finest stage under the point spread and the discrepancy that explain the frame best at the best of some."""
+    """The finest stage under the point spread, discrepancy and photons that explain the frame best at the best of some.
+
+    The discrepancy twice: bright light that is noisy may be either's.
+    """
     poses, suns = some.poses[:1], some.suns[:1]
-    for better in (best_spread, best_discrepancy):
+    for better in (best_spread, best_discrepancy, best_photon, best_discrepancy):
         hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
         nuisance = better(hill, poses, suns, nuisance)
     return stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance

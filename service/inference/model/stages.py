@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +15,7 @@ from service.inference.model.nuisance import Nuisance
 from service.inference.model.scene import Scene
 from service.inference.numerics.hill import Hill, Trust
 from service.inference.numerics.priors import PosePrior
+from service.inference.state import Array
 
 
 class PatchLike(Protocol):
@@ -36,8 +37,8 @@ class PatchLike(Protocol):
         ...
 
     @property
-    def hidden(self) -> float:
-        """Light of the sky that a body can hide at the most, counts."""
+    def sky(self) -> float:
+        """Counts of the empty sky, with what the sensor adds to it; of a frame pixel, as the image."""
         ...
 
     @property
@@ -65,10 +66,27 @@ class PatchLike(Protocol):
 class Sight:
     """A frame as a search sees it."""
 
-    cut: Callable[[float, float], PatchLike]  # span (px) that the light fills, patch px that it should fill -> patch
+    patch: Callable[[tuple[float, float], float, float], PatchLike]  # centre and span (px), patch px that this fills
+    centre: tuple[float, float]  # of the light, frame px
     span: float  # of the light, px
     psf: float  # first guess of the point spread's width, px
     lens: Lens | None = None
+    pieces: Array = field(default_factory=lambda: np.empty((0, 4)))  # boxes of all light, frame px
+
+    def cut(self, span: float, wanted: float) -> PatchLike:
+        """The patch around the centre in which so many px fill so many patch px."""
+        return self.patch(self.centre, span, wanted)
+
+    def over(self, box: Array | None) -> Sight:
+        """The same, grown until it holds the pieces of light in a box (left, top, right, bottom); None: in no box."""
+        middles = 0.5 * (self.pieces[:, :2] + self.pieces[:, 2:])
+        within = box is not None and np.all((middles >= box[:2]) & (middles <= box[2:]), axis=1)
+        if not np.any(within):
+            return self
+        low = np.minimum(np.subtract(self.centre, 0.5 * self.span), self.pieces[within, :2].min(axis=0))
+        high = np.maximum(np.add(self.centre, 0.5 * self.span), self.pieces[within, 2:].max(axis=0))
+        x, y = 0.5 * (low + high)
+        return replace(self, centre=(float(x), float(y)), span=float((high - low).max()))
 
 
 @dataclass(frozen=True)
@@ -117,8 +135,8 @@ def stage_hill(
     scene = Scene(
         patch.image,
         patch.sigma,
-        patch.photon,
-        patch.hidden,
+        prior.PHOTON_SHARE * patch.photon if nuisance.photon is None else nuisance.photon / patch.binning**2,
+        patch.sky,
         patch.censored,
         spread,
         max(nuisance.discrepancy, stage.off),
@@ -126,6 +144,7 @@ def stage_hill(
         max(grain * stage.low_pass, prior.LOW_PASS_SHARE * spread.width),
         grain=grain,
         starry=patch.stars,
+        seen_photon=patch.photon,
     )
     view = View(patch.origin, patch.binning, len(patch.image), sight.lens)
     free = speckle or told.towards_sun is None

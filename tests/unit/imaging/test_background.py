@@ -135,6 +135,18 @@ def test_a_star_in_one_frame_does_not_survive_in_the_mean(count):
     assert sky.sigma[0] == pytest.approx(2.0, rel=0.08)
 
 
+def test_a_star_that_passes_leaves_no_trace():
+    """A telescope that follows its object: nothing of the star is there when the object is."""
+    frames, (rows, columns) = noisy(20.0, 2.0, 6), np.mgrid[:HEIGHT, :WIDTH]
+    for k, frame in enumerate(frames):
+        away = (columns - 40) ** 2 + (rows - 25 - 1.5 * k) ** 2
+        frame += (90 * np.exp(-0.5 * away / 1.7**2)).astype(np.uint8)
+        frame[10, 60] = 90  # a hot pixel stays where it is
+    sky = sky_of(frames)
+    assert np.abs(sky.mean[20:40, 30:50] - 20).max() < 5
+    assert sky.mean[10, 60, 0] == pytest.approx(90, abs=5)
+
+
 def test_a_star_in_the_only_frame_does_not_survive_either():
     (frame,) = noisy(20.0, 2.0, 1)
     frame[30:32, 40:42] = 220

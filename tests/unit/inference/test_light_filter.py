@@ -21,6 +21,7 @@ from service.inference.model import prior
 from service.inference.model import search as searching
 from service.inference.model.drawing import Lens, View
 from service.inference.model.existence import of_this_body, usual_chi2
+from service.inference.model.paint import unlearnt
 from service.inference.model.search import make_bank
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import Body
@@ -223,6 +224,19 @@ def test_the_discrepancy_that_frames_ask_for_tells_a_body_from_another():
     assert told[1] > 0.98 and told[2] > 0.9 and 0.2 < told[3] < 0.8 and told[5] < 0.02
 
 
+def test_a_cloud_is_no_paint():
+    """A search under it finds the body where it is, with other paint."""
+    state = advance(None, frame(0), 0)[0]
+    for k in (1, 2):
+        state, estimate = advance(state, frame(k), k)
+    assert estimate.status == "tracking"
+    clear = frame(3)._whole.image
+    through = np.where(np.arange(SIZE) < 72, 0.1, 1.0)
+    under = Drawn(clear * through + np.random.default_rng(9).normal(0, SIGMA, clear.shape) * (through < 1))
+    before = replace(state, mixture=replace(state.mixture, searches=0))  # due
+    assert advance(before, under, 3)[1].status in ("lost", "no_fit", "ambiguous")
+
+
 def test_a_wide_basin_is_worth_no_more_beside_a_track_than_a_narrow_one():
     """A frame that says little is fitted as well from everywhere: it must not take a track away."""
     noise, domain = motion_noise(effective({}).motion, given(frame(0), 0).domain), given(frame(0), 0).domain
@@ -230,7 +244,7 @@ def test_a_wide_basin_is_worth_no_more_beside_a_track_than_a_narrow_one():
 
     def weight(wide: float, level: float | None, siblings: int = 1) -> float:
         one = Refined(truth(0), SUN, 0.0175, fit, -100.0, wide**2 * np.eye(6))
-        return born(one, level, siblings, noise, domain).log_weight
+        return born(one, level, siblings, unlearnt(7), noise, domain).log_weight
 
     assert weight(0.5, 0.0) == weight(0.01, 0.0) == pytest.approx(prior.EVIDENCE_TRUST * -100 + np.log(0.1))
     assert weight(0.5, 0.0, 4) == pytest.approx(prior.EVIDENCE_TRUST * -100 + np.log(0.1 / 4))

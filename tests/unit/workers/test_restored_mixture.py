@@ -63,6 +63,7 @@ def test_modes_as_the_filter_keeps_them_are_taken():
         {"discrepancy": float("nan")},
         {"log_light": float("inf")},
         {"span_px": 0.0},
+        {"photon": 0.0},
         {"span_px": 1e9},
         {"searches": -1},
         {"since_search": 0.5},

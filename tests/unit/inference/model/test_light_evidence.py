@@ -197,7 +197,7 @@ def test_a_pose_that_explains_nothing_loses(gain, discrepancy):
     away[1, 3:5] = 500.0  # nothing in the patch
     away[2, 3:5] = 25.0  # beside it
     away[3, 5] = -2.0  # a dot in its middle
-    found = body_evidence(scene(image, 4.0, discrepancy=discrepancy, hidden=3.0), away)
+    found = body_evidence(scene(image, 4.0, discrepancy=discrepancy, sky=3.0), away)
     assert np.isfinite(found).all()
     assert (found[1:] < found[0] - 10.0).all()
 

@@ -1,4 +1,4 @@
-"""Point spread and discrepancy of a frame: what explains it best at its best poses."""
+"""Point spread, discrepancy and photon transfer of a frame: what explains it best at its best poses."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lit_body import QUALITY, SUN, VIEW, lit_body, pose, scene, seen, shares
 
-from service.inference.model.nuisance import Nuisance, best_discrepancy, best_spread
+from service.inference.model.nuisance import Nuisance, best_discrepancy, best_photon, best_spread
 from service.inference.numerics.hill import Hill
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate, retract
@@ -48,6 +48,22 @@ def test_a_mesh_that_is_further_from_right_has_more_discrepancy():
         found.append(best_discrepancy(on, some(), np.tile(SUN, (2, 1)), start).discrepancy)
     assert found == sorted(found)
     assert found[0] < found[2]
+
+
+@pytest.mark.parametrize("seen_as", [1.0, 4.0])
+def test_the_noise_of_photons_is_found_where_edges_look_like_it(seen_as):
+    photon, start = 1.5, Nuisance(1.3, 0.0, 0.001)
+    clean = seen(pose(), shares(lit_body(), 900.0))
+    noise = np.random.default_rng(3).normal(0, 1, clean.shape) * np.sqrt(photon * clean)
+    on = hill(clean + noise, start, discrepancy=0.001, seen_photon=seen_as * photon)
+    found = best_photon(on, some(), np.tile(SUN, (2, 1)), start).photon
+    assert found is not None and photon / 1.5 < found / VIEW.binning**2 < 1.5 * photon
+
+
+def test_a_body_hides_no_more_of_the_sky_than_its_noise_allows():
+    one = replace(scene(np.zeros((64, 64)), 2.0), sky=100.0, photon=0.1)
+    assert one.hidden == pytest.approx(1.5 * 2.0**2 / 0.1)
+    assert one.under(photon=0.01).hidden == 100.0
 
 
 def test_squares_of_pixels_make_the_point_spread_smaller():

@@ -108,11 +108,11 @@ def test_a_track_is_shaken_though_the_templates_missed_it(monkeypatch):
 
 
 def test_a_sight_that_is_hardly_wider_is_not_looked_at():
-    def never(span: float, wanted: float) -> Patch:
+    def never(centre: tuple[float, float], span: float, wanted: float) -> Patch:
         raise AssertionError
 
     dark = dark_sight()
-    wide = Sight(never, 1.2 * dark.span, 1.1)
+    wide = Sight(never, dark.centre, 1.2 * dark.span, 1.1)
     assert search(body(False), dark, bank(False), TOLD, wide).basins == []
     known = PosePrior(np.log(20.0), 0.03, SUN)  # nor is one where the size is told
     assert search(body(False), dark, bank(False), known, replace(wide, span=400.0)).basins == []
@@ -167,13 +167,13 @@ def test_a_told_scale_makes_the_patch_large_enough_for_the_whole_body():
     spans: list[float] = []
     dark = dark_sight()
 
-    def counted(span: float, wanted: float) -> Patch:
+    def counted(centre: tuple[float, float], span: float, wanted: float) -> Patch:
         spans.append(span)
         return dark.cut(span, wanted)
 
     for rim_px, least in ((26.0, 40.0), (60.0, 70.0)):
         told = PosePrior(float(np.log(rim_px / lit_body().radius)), 0.03, SUN)
-        search(body(False), replace(dark, cut=counted), bank(False), told)
+        search(body(False), replace(dark, patch=counted), bank(False), told)
         assert least <= min(spans) and max(spans) < 2 * 60.0
         spans.clear()
 
