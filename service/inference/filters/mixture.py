@@ -130,8 +130,8 @@ def ground(
     nuisance = Nuisance(core, wings, before.discrepancy, before.photon)
     reach = given.body.fine.radius * float(np.exp(ahead.poses.log_scale[lead]))
     sight = given.frame.around(ahead.poses.position[lead], _RIM * reach, before.span_px, nuisance.core)
-    leader = ahead.poses[lead : lead + 1], ahead.suns[lead : lead + 1]
-    sight = sight.over(lit_box(given.body.fine, *leader, ahead.paint[lead], sight.lens))
+    leader = ahead.poses[lead : lead + 1], ahead.suns[lead : lead + 1], ahead.paint[lead]
+    sight = sight.over(lambda lens: lit_box(given.body.fine, *leader, lens=lens))
     return stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
 
 

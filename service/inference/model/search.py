@@ -99,7 +99,8 @@ def search(
             sight, some = wide, others
     if not len(some.found):
         return Found([], stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance)
-    sight = sight.over(lit_box(body.rough, some.poses[:1], some.suns[:1], lens=sight.lens))
+    first = some[:1]
+    sight = sight.over(lambda lens: lit_box(body.rough, first.poses, first.suns, lens=lens))
     hill = stage_hill(body.middle, sight, MIDDLE, nuisance, told, speckle=False)
     more = 1 + min(1, some.poses.joints.shape[1])
     some = climbed(hill, scored(hill, some), replace(MIDDLE, kept=more * MIDDLE.kept))

@@ -77,14 +77,20 @@ class Sight:
         """The patch around the centre in which so many px fill so many patch px."""
         return self.patch(self.centre, span, wanted)
 
-    def over(self, box: Array | None) -> Sight:
-        """The same, grown until it holds the pieces of light in a box (left, top, right, bottom); None: in no box."""
+    def over(self, lit: Callable[[Lens | None], Array | None]) -> Sight:
+        """The same, grown until it holds the pieces of light in a box.
+
+        ``lit``: left, top, right, bottom (frame px) of that box through a lens, or None; asked where light is left out.
+        """
+        low, high = np.subtract(self.centre, 0.5 * self.span), np.add(self.centre, 0.5 * self.span)
         middles = 0.5 * (self.pieces[:, :2] + self.pieces[:, 2:])
-        within = box is not None and np.all((middles >= box[:2]) & (middles <= box[2:]), axis=1)
-        if not np.any(within):
+        out = np.any((middles < low) | (middles > high), axis=1)
+        box = lit(self.lens) if out.any() else None
+        within = out & np.all((middles >= box[:2]) & (middles <= box[2:]), axis=1) if box is not None else out & False
+        if not within.any():
             return self
-        low = np.minimum(np.subtract(self.centre, 0.5 * self.span), self.pieces[within, :2].min(axis=0))
-        high = np.maximum(np.add(self.centre, 0.5 * self.span), self.pieces[within, 2:].max(axis=0))
+        low = np.minimum(low, self.pieces[within, :2].min(axis=0))
+        high = np.maximum(high, self.pieces[within, 2:].max(axis=0))
         x, y = 0.5 * (low + high)
         return replace(self, centre=(float(x), float(y)), span=float((high - low).max()))
 

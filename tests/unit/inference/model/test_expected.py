@@ -10,6 +10,7 @@ from lit_body import SUN, VIEW, lit_body, pose, seen, shares
 from lit_search import dark_sight
 
 from service.inference.model.candidates import turned_alike
+from service.inference.model.drawing import Lens
 from service.inference.model.expected import lit_box
 from service.inference.model.paint import unlearnt
 from service.inference.pose import retract
@@ -46,9 +47,19 @@ def test_a_sight_grows_by_light_that_lies_where_a_body_should_show_some():
     pieces = np.array([[42.0, 52.0, 58.0, 68.0], [74.0, 58.0, 80.0, 62.0], [90.0, 90.0, 94.0, 94.0]])
     sight = replace(dark_sight(), centre=(50.0, 60.0), span=20.0, pieces=pieces)
     for box in (None, np.array([45.0, 55.0, 60.0, 70.0]), np.array([100.0, 0.0, 120.0, 20.0])):
-        assert (sight.over(box).centre, sight.over(box).span) == (sight.centre, sight.span)
-    grown = sight.over(np.array([45.0, 55.0, 85.0, 65.0]))
+        same = sight.over(lambda lens, box=box: box)
+        assert (same.centre, same.span) == (sight.centre, sight.span)
+    grown = sight.over(lambda lens: np.array([45.0, 55.0, 85.0, 65.0]))
     assert (grown.centre, grown.span) == ((60.0, 60.0), 40.0)
+
+
+def test_a_sight_that_leaves_nothing_out_asks_for_no_box():
+    def asked(lens: Lens | None) -> None:
+        raise AssertionError
+
+    sight = replace(dark_sight(), centre=(50.0, 60.0), span=20.0)
+    assert sight.over(asked).span == 20.0
+    assert replace(sight, pieces=np.array([[42.0, 52.0, 58.0, 68.0]])).over(asked).span == 20.0
 
 
 @pytest.mark.parametrize(("turn_deg", "joint_deg", "alike"), [(4, 15, True), (6, 0, False), (0, 30, False)])
