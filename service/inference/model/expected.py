@@ -10,7 +10,7 @@ from service.inference.state import Array, Poses
 
 _SIDE = 48  # numerical: patch px in which the whole body is drawn
 _RIM = 1.05  # numerical: of its radius
-_QUALITY = Quality(2, 96)  # numerical
+_QUALITY = Quality(2, 96)  # numerical: a box asks for no more
 _LEFT_OUT = 0.005  # numerical: of its light, beyond each side
 
 
