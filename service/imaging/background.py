@@ -20,6 +20,7 @@ from service.imaging.own_sky import filled
 
 KEPT_FRAMES = 16  # numerical: enough for a per-pixel median that no star survives
 _HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
+_SQUARE, _CHANCE = 8, 6.0  # numerical: px that noise may be alike over; standard deviations
 KEPT_BYTES = 64 * 2**20  # numerical: memory of one sky
 # prior: share of the uniform distribution mixed into every histogram: no pixel may rule alone
 FLOOR = 1e-3
@@ -104,7 +105,7 @@ class Sky:
     """Derived from a background, cached by content."""
 
     mean: NDArray[np.float32]  # (H, W, C) brightness per pixel
-    covariance: NDArray[np.float64]  # (C, C) of one pixel's noise: converted colours have theirs in common
+    covariance: NDArray[np.float64]  # (C, C) of one pixel's noise, as loud over squares as if it were white
     log_density: NDArray[np.float64]  # (bins,) log p(D|b) of the feature
     spec: FeatureSpec
 
@@ -178,6 +179,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         # in every frame: where a telescope follows its object stars pass, and are gone when it is there
         hot &= (residual * np.sign(stands) > 0.5 * np.abs(stands)).all(axis=0)
         mean = np.where(hot, mean, smooth) if len(frames) > 2 else smooth
+    noise = noise * _alike(residual, known)
     mean = mean + np.median(level, axis=0).astype(np.float32)
     return Sky(
         np.ascontiguousarray(mean, dtype=np.float32),
@@ -198,6 +200,26 @@ def _noise(residual: NDArray[np.float32]) -> NDArray[np.float64]:
     seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
     both = inside.reshape(seen.shape).astype(np.float64)
     return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
+
+
+def _alike(residual: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
+    """Pixels whose noise is one: by how much the variance of squares' means exceeds that of white noise; 1 where chance
+    may be the reason.
+
+    Noise of enlarged, stacked or filtered images is alike in neighbours. As light is as smooth there, white noise that
+    is as loud over a square says what such an image can tell. Differences of frames have no pattern of the sensor's.
+    """
+    changes = np.diff(residual, axis=0) if len(residual) > 1 else residual
+    n, height, width, channels = changes.shape
+    rows, columns = height // _SQUARE, width // _SQUARE
+    shape = (n, rows, _SQUARE, columns, _SQUARE, channels)
+    squares = changes[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).mean(axis=(2, 4))
+    whole = known[: rows * _SQUARE, : columns * _SQUARE].reshape(shape[1:5]).all(axis=(1, 3))
+    if not whole.any():
+        return 1.0
+    loud, white = np.trace(_noise(_SQUARE * squares[:, whole])), np.trace(_noise(changes[:, known]))
+    chance = _CHANCE * np.sqrt(2 / (n * np.count_nonzero(whole)))
+    return float(loud / white) if loud > (1 + chance) * white > 0 else 1.0
 
 
 def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ from service.inference.model.spread import PointSpread
 from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Poses
 
-_CORES = tuple(float(v) for v in np.geomspace(0.4, 4.0, 12))  # numerical: grid, px of the frame
+_CORES = tuple(float(v) for v in 0.4 * 10 ** (np.arange(20) / 11))  # numerical: grid, to 21 px of the frame: enlarged
 _WINGS = (0.0, 0.4, 0.8, 1.3, 2.0, 3.0)  # numerical: grid, px of the frame
 # numerical: grid, two standard deviations of its log either way
 _DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in np.linspace(-1.4, 1.4, 13))

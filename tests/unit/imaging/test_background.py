@@ -3,6 +3,7 @@
 import dataclasses
 import io
 
+import cv2
 import numpy as np
 import pytest
 
@@ -181,6 +182,14 @@ def test_the_noise_is_measured_between_whole_counts_too(sigma, count, tolerance)
     """The true deviation includes that of rounding, 1/12."""
     sky = sky_of(noisy(20.3, sigma, count))
     assert sky.sigma[0] == pytest.approx(np.hypot(sigma, np.sqrt(1 / 12)), rel=tolerance)
+
+
+@pytest.mark.parametrize("enlarged", [1, 2, 4])
+def test_noise_that_is_alike_in_neighbours_is_told_as_loud_as_it_is_over_squares(enlarged):
+    """An enlarged image's pixels say no more than those that it was made of."""
+    small = noisy(60.0, 4.0, 6)
+    frames = [cv2.resize(frame, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_CUBIC) for frame in small]
+    assert sky_of(frames).sigma[0] == pytest.approx(4.0 * enlarged, rel=0.15)
 
 
 def test_a_silent_sensor_still_has_the_noise_of_rounding():

@@ -37,6 +37,12 @@ def test_the_point_spread_is_found_from_either_side(core, wings, first):
     assert found.discrepancy == start.discrepancy
 
 
+def test_the_point_spread_of_an_enlarged_image_is_found():
+    start = Nuisance(3.0, 0.0, 0.05)
+    image = seen(pose(), shares(lit_body(), 900.0), core=6.0)
+    assert best_spread(hill(image, start), some(), np.tile(SUN, (2, 1)), start).core == pytest.approx(6.0, rel=0.15)
+
+
 def test_a_mesh_that_is_further_from_right_has_more_discrepancy():
     """Paint that the model does not know of: bright and dark patches all over the body."""
     found = []
