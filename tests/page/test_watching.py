@@ -38,7 +38,8 @@ def test_thirty_estimates_a_second(server, http, open_page):
     """The page keeps pace: what is shown is not older at the end than before, and no frame is missing.
 
     Nor does a long pass cost more by the estimate: by half more of its main thread's processor time in the second half
-    than in the first, at the most, in whatever units this machine has. The long form: SKYPOSE_TEST_PAGE_SECONDS=600.
+    than in the first, at the most, in whatever units this machine has. The long form, SKYPOSE_TEST_PAGE_SECONDS=600,
+    holds it to less than half of the thread.
     """
     given = fake_pass(RATE_HZ * int(os.environ.get("SKYPOSE_TEST_PAGE_SECONDS", SECONDS)))
     session_id = begin(http, given, name="body.glb")
@@ -62,6 +63,8 @@ def test_thirty_estimates_a_second(server, http, open_page):
     print(f"frames behind: median {statistics.median(behind)}, most {max(behind)};", end=" ")
     print(f"{1e3 * first_s / half:.1f} and {1e3 * second_s / half:.1f} ms of the main thread per estimate")
     assert second_s < 1.5 * first_s
+    if "SKYPOSE_TEST_PAGE_SECONDS" in os.environ:  # a machine with nothing else to do
+        assert (first_s + second_s) / len(behind) < 0.5 / RATE_HZ
     assert statistics.median(behind[len(behind) // 2 :]) < RATE_HZ  # half of all frames are not a second old
     expect(page.locator("#timeline output")).to_have_text(f"{last} / {last}")
     page.get_by_role("slider", name="Frame").fill(str(last // 2))

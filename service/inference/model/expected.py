@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.inference.model import prior
 from service.inference.model.drawing import Drawing, Lens, Quality, View
+from service.inference.model.likelihood import positive_priors
 from service.inference.state import Array, Poses
 
 _SIDE = 48  # numerical: patch px in which the whole body is drawn
@@ -24,14 +24,12 @@ def lit_box(
     reach = _RIM * drawing.radius * float(np.exp(pose.log_scale[0]))
     x, y = pose.position[0]
     view = View((float(x) - reach, float(y) - reach), 2 * reach / _SIDE, _SIDE, lens)
-    drawn = drawing.planes(pose, sun, view, _QUALITY)[0].astype(np.float64)
     groups = drawing.n_groups
-    glossy = len(drawn) - 1 - groups
-    share = np.repeat([1.0, prior.GLOSS_SHARE], [groups, glossy])
+    log_share, sigma = positive_priors(groups, 1 + groups * (1 + len(_QUALITY.gloss)))
     if paint is not None:
-        sigma = np.repeat([prior.ALBEDO_SIGMA, prior.GLOSS_LOG_SIGMA], [groups, glossy])
-        share *= np.exp(paint[0] * paint[1] / (paint[1] + sigma**-2))
-    light = np.tensordot(share, np.delete(drawn, groups, axis=0), axes=1)
+        log_share = log_share + paint[0] * paint[1] / (paint[1] + sigma**-2)
+    shares = np.insert(np.exp(log_share), groups, 0.0).astype(np.float32)  # no even light
+    light = drawing.combined(pose, sun, shares, view, _QUALITY)[0].astype(np.float64)
     if light.sum() <= 0.0:
         return None
     low, high = [], []

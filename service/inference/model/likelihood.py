@@ -64,12 +64,20 @@ class Terms:
         return replace(self, start=start)
 
 
+def positive_priors(n_groups: int, n_planes: int) -> tuple[Images, Array]:
+    """(Q - 1,) log of each positive plane's share of the gain, and the standard deviation of its log about it."""
+    counts = [n_groups, n_planes - 1 - n_groups]
+    offset = np.repeat(np.array([0.0, log(prior.GLOSS_SHARE)], np.float32), counts)
+    return offset, np.repeat([prior.ALBEDO_SIGMA, prior.GLOSS_LOG_SIGMA], counts)
+
+
 def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
     """The terms of a body of G groups whose drawings have Q planes."""
-    glossy = n_planes - 1 - n_groups
+    offset, positive = positive_priors(n_groups, n_planes)
     wings = scene.point_spread.wings
-    sigmas = [prior.ALBEDO_SIGMA] * n_groups + [prior.GLOSS_LOG_SIGMA] * glossy
-    sigmas += [prior.GAIN_SIGMA, scene.light.even_sigma, prior.HIDDEN_SIGMA] + [prior.SKY_SIGMAS * scene.sigma] * 3
+    sigmas = [*positive, prior.GAIN_SIGMA, scene.light.even_sigma, prior.HIDDEN_SIGMA] + [
+        prior.SKY_SIGMAS * scene.sigma
+    ] * 3
     means = [0.0] * (n_planes - 1) + [scene.gain, scene.light.even_mean, prior.HIDDEN_MEAN]
     speckle, shifts = scene.shifts, scene.shifts and wings > 0
     if speckle:
@@ -78,7 +86,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
         sigmas += [prior.SHIFT_SHARE * wings] * 18
     return Terms(
         scene=scene,
-        offset=np.repeat(np.array([0.0, log(prior.GLOSS_SHARE)], np.float32), [n_groups, glossy]),
+        offset=offset,
         mean=np.array(means + [0.0] * (len(sigmas) - len(means)), np.float32),
         precision=(1.0 / np.array(sigmas) ** 2).astype(np.float32),
         data=scene.data,

@@ -34,6 +34,10 @@ class Nuisance:
         """On a patch of squares of so many px."""
         return PointSpread(self.core / binning, self.wings / binning)
 
+    def photon_on(self, binning: float) -> float | None:
+        """Variance per count on the same; None: as the frame has it."""
+        return None if self.photon is None else self.photon / binning**2
+
 
 def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
     """The point spread under which a few poses explain the frame best, by steps over a grid.
@@ -98,7 +102,7 @@ def neighbour(now: Nuisance, turn: int) -> Nuisance:
 def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:
     """The hill's frame under another point spread and discrepancy."""
     spread = nuisance.point_spread(hill.view.binning)
-    photon = None if nuisance.photon is None else nuisance.photon / hill.view.binning**2
+    photon = nuisance.photon_on(hill.view.binning)
     return hill.scene.under(point_spread=spread, discrepancy=nuisance.discrepancy, photon=photon)
 
 
@@ -106,9 +110,10 @@ def log_prior(nuisance: Nuisance, hill: Hill) -> float:
     """Of all four in a frame, but for a constant."""
     deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
     out = _log_prior(nuisance.core, nuisance.wings) - 0.5 * deviation**2
-    if nuisance.photon is None or hill.scene.seen_photon is None:
+    photon = nuisance.photon_on(hill.view.binning)
+    if photon is None or hill.scene.seen_photon is None:
         return out
-    return out + _log_prior_of_photon(nuisance.photon / hill.view.binning**2 / hill.scene.seen_photon)
+    return out + _log_prior_of_photon(photon / hill.scene.seen_photon)
 
 
 def _neighbour(grid: tuple[float, ...], now: float, turn: int) -> float:

@@ -86,7 +86,9 @@ class Sight:
         middles = 0.5 * (self.pieces[:, :2] + self.pieces[:, 2:])
         out = np.any((middles < low) | (middles > high), axis=1)
         box = lit(self.lens) if out.any() else None
-        within = out & np.all((middles >= box[:2]) & (middles <= box[2:]), axis=1) if box is not None else out & False
+        if box is None:
+            return self
+        within = out & np.all((middles >= box[:2]) & (middles <= box[2:]), axis=1)
         if not within.any():
             return self
         low = np.minimum(low, self.pieces[within, :2].min(axis=0))
@@ -141,7 +143,7 @@ def stage_hill(
     scene = Scene(
         patch.image,
         patch.sigma,
-        prior.PHOTON_SHARE * patch.photon if nuisance.photon is None else nuisance.photon / patch.binning**2,
+        nuisance.photon_on(patch.binning) or prior.PHOTON_SHARE * patch.photon,
         patch.sky,
         patch.censored,
         spread,
