@@ -13,9 +13,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.device import DeviceReport, first_device, open_device
+from gpu.device import LIGHT_KINDS, DeviceReport, first_device, open_device
 from gpu.evidence_terms import LANES, Terms, inputs_of
-from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
+from gpu.program import KernelArgument, Scratch, build, constant, device_errors, work_items, zero
 
 Numbers = NDArray[np.float32]
 Window = tuple[slice, slice]  # rows and columns of a patch
@@ -116,7 +116,7 @@ class LightEvidence:
         out, drawn, ended = (np.empty((n, count), np.float32) for count in (4, n_planes, unknowns))
         if n == 0:
             return Answers(np.empty(0), np.empty(0), drawn, ended)
-        items = min(n, int(self._queue.device.max_compute_units))
+        items = work_items(self._queue.device, n, 4 * each)
         with device_errors(self.name):
             flags = cl.mem_flags
             held = np.ascontiguousarray(planes, np.float32)
@@ -151,9 +151,9 @@ class LightEvidence:
         return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn, ended)
 
 
-def open_evidence(kind: str = "cpu") -> LightEvidence:
-    """On the first usable device of this kind. Raises ``DeviceError`` where OpenCL has none."""
-    return LightEvidence(first_device(kind))
+def open_evidence(kinds: Sequence[str] = LIGHT_KINDS) -> LightEvidence:
+    """On the first usable device of these kinds. Raises ``DeviceError`` where OpenCL has none."""
+    return LightEvidence(first_device(*kinds))
 
 
 def _details(row: Numbers, unknowns: int, always: int, side: int) -> Details:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import resources
@@ -12,7 +13,11 @@ from numpy.typing import NDArray
 
 from gpu.errors import DeviceLostError, ScorerError
 
+# NVIDIA's compiler has a word on every kernel (it may be inlined all the same), and pyopencl warns of any word.
+warnings.filterwarnings("ignore", category=cl.CompilerWarning)
+
 KernelArgument = np.generic | cl.Buffer
+_RESIDENT = 32  # numerical: groups of one work-item that a compute unit of a GPU holds at once
 
 
 def build(context: cl.Context, *files: str, options: Sequence[str] = ()) -> cl.Program:
@@ -40,6 +45,18 @@ def constant(context: cl.Context, values: NDArray[np.generic]) -> cl.Buffer:
 def zero(context: cl.Context) -> cl.Buffer:
     """The counter from which persistent work-items and work-groups take the next particle."""
     return constant(context, np.zeros(1, np.int32))
+
+
+def work_items(device: cl.Device, poses: int, size: int) -> int:
+    """How many work-items share the poses, each with ``size`` bytes of memory of its own.
+
+    One for each core of a CPU; on a GPU, whose threads wait for memory most of the time, as many as it holds at once.
+    """
+    if device.type & cl.device_type.CPU:
+        most = device.max_compute_units
+    else:
+        most = min(device.max_compute_units * _RESIDENT, device.max_mem_alloc_size // size)
+    return max(min(int(most), poses), 1)
 
 
 class Scratch:

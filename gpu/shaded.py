@@ -8,10 +8,10 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.device import DeviceReport, first_device, open_device
+from gpu.device import LIGHT_KINDS, DeviceReport, first_device, open_device
 from gpu.lens import NEAREST, NO_LENS, Lens, magnified
 from gpu.mesh import Mesh
-from gpu.program import KernelArgument, Scratch, build, constant, device_errors, zero
+from gpu.program import KernelArgument, Scratch, build, constant, device_errors, work_items, zero
 from gpu.shaded_faces import LANES, FaceTable, Indices, face_table
 from gpu.shaded_reference import BIAS_TEXELS, STEEPEST
 from gpu.shaded_views import SIDE, views_of_part
@@ -19,8 +19,6 @@ from gpu.shaded_views import SIDE, views_of_part
 Numbers = NDArray[np.float32]
 EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
 FILES = ("lanes.cl", "shaded_faces.cl", "shaded_light.cl", "shaded.cl")
-_GPU_ITEMS = 1024
-_GPU_BYTES = 1 << 29
 
 
 class ShadedBody:
@@ -38,7 +36,6 @@ class ShadedBody:
         self.name = f"opencl:shaded:{report.name}"
         self.n_groups = int(groups.max(initial=0)) + 1
         self._n_parts, self._radius = len(mesh.parts), np.float32(mesh.radius)
-        self._is_cpu = report.kind == "cpu"
         with device_errors(self.name):
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
@@ -200,7 +197,7 @@ class ShadedBody:
         )
         each = -(-(each + 2 * LANES) // 32) * 32
         with device_errors(self.name):
-            items = self._items(n, each)
+            items = work_items(self._queue.device, n, 4 * each)
             flags = cl.mem_flags
             inputs = (cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in given)
             result = cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=out)
@@ -215,28 +212,23 @@ class ShadedBody:
             mapped.base.release(self._queue)
             self._queue.finish()
 
-    def _items(self, poses: int, each: int) -> int:
-        """Work-items that share the poses: one for each core of a CPU, on a GPU as many as its memory may hold."""
-        most = self._queue.device.max_compute_units if self._is_cpu else min(_GPU_ITEMS, _GPU_BYTES // (4 * each))
-        return max(min(int(most), poses), 1)
-
 
 def open_shaded(
     mesh: Mesh,
     groups: NDArray[np.integer],
     *,
     reports: Sequence[DeviceReport] | None = None,
-    kind: str = "cpu",
+    kinds: Sequence[str] = LIGHT_KINDS,
     drop_hidden: bool = True,
 ) -> ShadedBody:
-    """On the first usable device of this kind. ``groups`` (F,): see ``gpu.surface_groups``.
+    """On the first usable device of these kinds. ``groups`` (F,): see ``gpu.surface_groups``.
 
     With ``drop_hidden``, faces that cannot be seen from outside their part are left out, once for all.
     Raises ``DeviceError`` where OpenCL has none.
     """
     if len(groups) != mesh.n_faces:
         raise ValueError(f"{len(groups)} groups are given for {mesh.n_faces} faces")
-    return ShadedBody(mesh, groups, first_device(kind, reports), drop_hidden)
+    return ShadedBody(mesh, groups, first_device(*kinds, reports=reports), drop_hidden)
 
 
 def _lanes(count: int) -> int:

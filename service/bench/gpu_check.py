@@ -19,6 +19,7 @@ from service.bench.drivers import Drivers, describe_drivers, find_drivers
 
 ROOT = Path(__file__).resolve().parents[2]
 PASSED, FAILED, NO_GPU = 0, 1, 3
+BENCHMARKS = ("scorers", "step", "light")
 LONGEST_S = 3600.0
 LIST_DEVICES = """
 import json, sys
@@ -60,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     verdict = [f"GPU: {', '.join(gpus)}"] if gpus else [f"no GPU found that OpenCL can use{why and f' ({why})'}"]
     checks: list[Check] = []
     if gpus or (options.allow_cpu and usable):
-        checks = [run_check(name, command, out, environment) for name, command in plan(out, options.quick)]
+        checks = [run_check(name, command, out, environment) for name, command in plan(out, options.quick, gpus)]
         verdict += verdict_of(checks, rows_of(out / "scorers.json"))
         status = FAILED if any(line.startswith("FAILED") for line in verdict) else PASSED
     else:
@@ -84,16 +85,19 @@ def list_devices(environment: Mapping[str, str]) -> tuple[dict[str, Any], str]:
     return found, "; ".join(rejected)
 
 
-def plan(out: Path, quick: bool) -> list[tuple[str, list[str]]]:
-    """What is run, by name."""
+def plan(out: Path, quick: bool, gpus: Sequence[str] = ()) -> list[tuple[str, list[str]]]:
+    """What is run, by name; the light on a GPU where there is one."""
     bench = [sys.executable, "-m", "service", "bench"]
     tail = ["--quick"] if quick else []
     plots = find_spec("matplotlib") is not None
     found = [("tests", [sys.executable, "-m", "pytest", "tests/gpu", "-p", "no:cacheprovider", "-rs"])]
-    for name in ("scorers", "step"):
+    for name in BENCHMARKS:
         (out / f"{name}.json").unlink(missing_ok=True)  # of an earlier run
-        plot = ["--plot", str(out / f"{name}.png")] if plots else []
-        found.append((name, [*bench, name, "--json", str(out / f"{name}.json"), *plot, *tail]))
+        if name == "light":
+            more = ["--device", "gpu"] if gpus else []
+        else:
+            more = ["--plot", str(out / f"{name}.png")] if plots else []
+        found.append((name, [*bench, name, "--json", str(out / f"{name}.json"), *more, *tail]))
     return found
 
 
@@ -145,9 +149,7 @@ def write_report(
     out: Path, status: int, verdict: Sequence[str], drivers: Drivers, found: Mapping[str, Any], checks: Sequence[Check]
 ) -> None:
     """``report.json`` and ``report.txt``, with the benchmarks' tables in it."""
-    benchmarks = {
-        n: json.loads((out / f"{n}.json").read_text()) for n in ("scorers", "step") if (out / f"{n}.json").exists()
-    }
+    benchmarks = {n: json.loads((out / f"{n}.json").read_text()) for n in BENCHMARKS if (out / f"{n}.json").exists()}
     document = {
         "status": status,
         "verdict": list(verdict),

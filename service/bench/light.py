@@ -1,4 +1,4 @@
-"""How long sunlit drawing takes, in each of its ways, and how far it agrees with its twin in NumPy."""
+"""How long sunlit drawing and evidence take, and how far drawing agrees with its twin in NumPy."""
 
 from __future__ import annotations
 
@@ -14,14 +14,22 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from gpu.coarse_mesh import coarse_mesh
+from gpu.device import LIGHT_KINDS
+from gpu.evidence import open_evidence
+from gpu.evidence_terms import LANES
 from gpu.mesh import Mesh
 from gpu.shaded import ShadedBody, open_shaded
 from gpu.shaded_reference import Drawing, reference_planes
 from gpu.surface_groups import surface_groups
+from service.inference.model.likelihood import ROUNDS, terms_of
+from service.inference.model.prior import GLOSS_LOBES
+from service.inference.model.scene import Scene
+from service.inference.model.spread import PointSpread, spread
 
 FILL = 0.48  # of the patch: the body's radius in it
 AGREES = 0.02  # of full light: pixels that differ by less are the same
 GLOSS = (20.0,)
+SEEING, SIGMA, PHOTON = PointSpread(1.2), 5.0, 0.5  # of the frame whose evidence is asked for; counts
 _SHORTEST_S = 0.05  # a call below this is measured with more poses
 
 
@@ -40,6 +48,7 @@ class LightPlan:
     compared: int = 6  # poses of which the twin is asked
     seed: int = 0
     coarse: bool = True  # draw the mesh for this size, not the file's
+    kinds: tuple[str, ...] = LIGHT_KINDS  # of devices, the first that there is
 
 
 @dataclass(frozen=True)
@@ -57,12 +66,11 @@ class LightRow:
 
 
 def bench_light(bodies: Mapping[str, Mesh], plan: LightPlan, say: Callable[[str], None]) -> list[LightRow]:
-    """Rows of all bodies. Raises ``DeviceError`` where no CPU is an OpenCL device."""
+    """Rows of all bodies. Raises ``DeviceError`` where there is no device of these kinds."""
     rows = []
     for name, mesh in bodies.items():
         say(f"{name}: {mesh.n_faces} faces")
-        rows += _planes_rows(name, mesh, plan)
-        rows.append(_template_row(name, mesh, plan))
+        rows += [*_planes_rows(name, mesh, plan), _template_row(name, mesh, plan), _evidence_row(name, mesh, plan)]
     return rows
 
 
@@ -95,7 +103,7 @@ def views(mesh: Mesh, count: int, side: int, rng: np.random.Generator) -> NDArra
 def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
     side, supersample, shadow_px = plan.side, plan.supersample, plan.shadow_px
     drawn, groups = _prepared(mesh, side, plan)
-    body, rng = open_shaded(drawn, groups), np.random.default_rng(plan.seed)
+    body, rng = open_shaded(drawn, groups, kinds=plan.kinds), _rng(plan)
     given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
     shares = np.append(np.linspace(0.5, 1.0, body.n_groups), 0.04)
     few = max(1, plan.poses // 8)
@@ -124,7 +132,7 @@ def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
 def _template_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
     side, texels = plan.template_side, plan.template_shadow_px
     drawn, groups = _prepared(mesh, side, plan)
-    body, rng = open_shaded(drawn, groups), np.random.default_rng(plan.seed)
+    body, rng = open_shaded(drawn, groups, kinds=plan.kinds), _rng(plan)
     given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
 
     def pictures() -> object:
@@ -133,6 +141,36 @@ def _template_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
     spent = _us(pictures, plan.poses, plan.repeats)
     body.close()
     return LightRow(name, mesh.n_faces, drawn.n_faces, "templates", side, texels, spent, None)
+
+
+def _evidence_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
+    """Evidence of drawn poses in a frame of the first one, every unknown of a sharp one among them."""
+    side = -(-plan.side // LANES) * LANES
+    drawn, groups = _prepared(mesh, side, plan)
+    body, light, rng = open_shaded(drawn, groups, kinds=plan.kinds), open_evidence(plan.kinds), _rng(plan)
+    few = max(1, plan.poses // 8)
+    given, suns = views(drawn, few, side, rng), _suns(few, rng)
+    planes = body.planes(
+        given, suns, side=side, supersample=plan.supersample, shadow_px=plan.shadow_px, gloss=GLOSS_LOBES
+    )
+    scene = _frame(planes[0], body.n_groups, rng)
+    terms = terms_of(scene, body.n_groups, planes.shape[1])
+    spent = _us(lambda: light.evidence(planes, body.n_groups, terms, ROUNDS), few, plan.repeats)
+    light.close()
+    body.close()
+    return LightRow(name, mesh.n_faces, drawn.n_faces, "evidence", side, plan.shadow_px, spent, None)
+
+
+def _frame(planes: NDArray[np.float32], n_groups: int, rng: np.random.Generator) -> Scene:
+    """What a camera sees of a body of many albedos, without gloss."""
+    bright = 900.0 * np.tensordot(np.exp(rng.normal(0, 0.5, n_groups)), planes[:n_groups], 1)
+    seen = spread(np.asarray(bright, np.float32)[None], SEEING, 0.0)[0]
+    image = np.asarray(seen + rng.normal(0, np.sqrt(SIGMA**2 + PHOTON * seen)), np.float32)
+    return Scene(image, SIGMA, PHOTON, 40.0, np.zeros(image.shape, bool), SEEING)
+
+
+def _rng(plan: LightPlan) -> np.random.Generator:
+    return np.random.default_rng(plan.seed)
 
 
 def _prepared(mesh: Mesh, side: int, plan: LightPlan) -> tuple[Mesh, NDArray[np.int32]]:

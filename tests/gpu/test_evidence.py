@@ -29,7 +29,7 @@ CASES = {  # side, groups, gloss planes, point spread, speckle and shifts
 
 @pytest.fixture(scope="module", params=KINDS)
 def light(request) -> Iterator[LightEvidence]:
-    opened = open_evidence(request.param)
+    opened = open_evidence((request.param,))
     yield opened
     opened.close()
 

@@ -1,15 +1,20 @@
 """Sunlit bodies with cast shadows: against the twin in NumPy, against ray casting, and what must hold anyway."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import pytest
 from gpu_cases import box, mesh_of, shared_mesh, soup, sphere, transforms
 
+from gpu.device import find_devices
 from gpu.errors import DeviceError
 from gpu.mesh import Mesh
-from gpu.shaded import EVEN_LIGHT, open_shaded
+from gpu.shaded import EVEN_LIGHT, ShadedBody, open_shaded
 from gpu.shaded_reference import Drawing, reference_planes
 from gpu.surface_groups import surface_groups
 
+KINDS = sorted({report.kind for report in find_devices() if report.rejected is None})
 SIZES = {"side": 40, "supersample": 3, "shadow_px": 128}
 GLOSS = (8.0, 40.0)
 PANEL = mesh_of(box((1.0, 1.0, 1.0)), box((0.02, 3.0, 1.2), (0.0, 2.2, 0.0)), box((2.0, 0.1, 0.1), (1.2, 0.0, 0.2)))
@@ -19,6 +24,11 @@ BODIES = {
     "soup": mesh_of(soup(np.random.default_rng(5), 60, 40)),
     "one triangle": mesh_of((np.array([[0, 0, 0], [1, 0, 0.2], [0, 1, -0.3]]), np.array([[0, 1, 2]]))),
 }
+
+
+@pytest.fixture(params=KINDS)
+def open_body(request) -> Callable[..., ShadedBody]:
+    return partial(open_shaded, kinds=(request.param,))
 
 
 def suns(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -38,10 +48,10 @@ def differing(found: np.ndarray, wanted: np.ndarray, covered: np.ndarray) -> flo
 
 @pytest.mark.parametrize("name", BODIES)
 @pytest.mark.parametrize(("side", "supersample", "shadow_px"), [(40, 3, 128), (33, 1, 70), (20, 4, 0), (7, 2, 17)])
-def test_planes_are_the_twins_but_for_samples_at_edges(name, side, supersample, shadow_px):
+def test_planes_are_the_twins_but_for_samples_at_edges(name, side, supersample, shadow_px, open_body):
     mesh = BODIES[name]
     groups, given, sun = surface_groups(mesh), views(mesh, 8, side), suns(np.random.default_rng(2), 8)
-    body = open_shaded(mesh, groups, drop_hidden=False)
+    body = open_body(mesh, groups, drop_hidden=False)
     sizes = {"side": side, "supersample": supersample, "shadow_px": shadow_px}
     found = body.planes(given, sun, **sizes, gloss=GLOSS)
     wanted = reference_planes(mesh, groups, given, sun, Drawing(*sizes.values(), GLOSS))
@@ -55,10 +65,10 @@ def test_planes_are_the_twins_but_for_samples_at_edges(name, side, supersample, 
 
 @pytest.mark.parametrize("name", BODIES)
 @pytest.mark.parametrize("lens", [(90.0, 20.0, 20.0), (60.0, -15.0, 31.5)])
-def test_a_lens_shows_what_the_twin_does(name, lens):
+def test_a_lens_shows_what_the_twin_does(name, lens, open_body):
     mesh = BODIES[name]
     groups, given, sun = surface_groups(mesh), views(mesh, 8, 40), suns(np.random.default_rng(2), 8)
-    body = open_shaded(mesh, groups, drop_hidden=False)
+    body = open_body(mesh, groups, drop_hidden=False)
     found = body.planes(given, sun, **SIZES, gloss=GLOSS, lens=lens)
     wanted = reference_planes(mesh, groups, given, sun, Drawing(*SIZES.values(), GLOSS, lens))
     covered = wanted[:, body.n_groups] > 0
@@ -69,19 +79,19 @@ def test_a_lens_shows_what_the_twin_does(name, lens):
     body.close()
 
 
-def test_from_far_away_a_lens_changes_nothing():
+def test_from_far_away_a_lens_changes_nothing(open_body):
     groups, given, sun = surface_groups(PANEL), views(PANEL, 4, 40), suns(np.random.default_rng(2), 4)
-    body = open_shaded(PANEL, groups)
+    body = open_body(PANEL, groups)
     near, far = (body.planes(given, sun, **SIZES, lens=(focal, 20.0, 20.0)) for focal in (1e6, np.inf))
     assert differing(near, far, far[:, body.n_groups] > 0) < 0.01
     body.close()
 
 
 @pytest.mark.parametrize("name", ["hubble", "iss", "suomi_npp", "tdrs"])
-def test_real_bodies_agree_with_the_twin_though_hidden_faces_are_left_out(shared, name):
+def test_real_bodies_agree_with_the_twin_though_hidden_faces_are_left_out(shared, name, open_body):
     mesh = shared_mesh(shared / "data" / "meshes" / f"{name}.glb")
     groups, given, sun = surface_groups(mesh), views(mesh, 3, 40), suns(np.random.default_rng(3), 3)
-    body = open_shaded(mesh, groups)
+    body = open_body(mesh, groups)
     found = body.planes(given, sun, **SIZES)
     wanted = reference_planes(mesh, groups, given, sun, Drawing(*SIZES.values()))
     assert differing(found, wanted, wanted[:, body.n_groups] > 0) < 0.01
@@ -103,12 +113,12 @@ def rays_blocked(points: np.ndarray, towards: np.ndarray, corners: np.ndarray) -
     return ((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-3) & ~flat).any(axis=1)
 
 
-def test_shadows_fall_where_rays_say():
+def test_shadows_fall_where_rays_say(open_body):
     """At one sample a pixel. Within about a texel of a shadow's edge the map may differ."""
     side, mesh = 64, mesh_of(box((1.0, 1.0, 1.0)), box((2.5, 0.05, 1.5), (0.0, 1.0, 0.0)), box((0.2, 1.5, 0.2)))
     given, sun = views(mesh, 12, side, seed=4), suns(np.random.default_rng(6), 12)
     sun[:, 2] = -0.2
-    body = open_shaded(mesh, np.zeros(mesh.n_faces, np.int32))
+    body = open_body(mesh, np.zeros(mesh.n_faces, np.int32))
     sizes = {"side": side, "supersample": 1}
     full = body.planes(given, sun, **sizes, shadow_px=0)[:, 0]
     shaded = body.planes(given, sun, **sizes, shadow_px=512)[:, 0]
@@ -141,10 +151,10 @@ def nearest_depth(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.6, 1.2])
-def test_a_lit_panel_does_not_shade_itself_and_its_back_is_dark(turn):
+def test_a_lit_panel_does_not_shade_itself_and_its_back_is_dark(turn, open_body):
     """Neither stripes where the Sun is low over a thin panel, nor light that comes through it."""
     panel = mesh_of(box((2.0, 2.0, 0.004)))
-    body = open_shaded(panel, np.zeros(12, np.int32))
+    body = open_body(panel, np.zeros(12, np.int32))
     given = np.zeros((1, 1, 3, 4), np.float32)
     cos, sin = np.cos(turn), np.sin(turn)
     given[0, 0, :, :3] = 12.0 * np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
@@ -162,9 +172,9 @@ def test_a_lit_panel_does_not_shade_itself_and_its_back_is_dark(turn):
     body.close()
 
 
-def test_whole_pixels_and_sizes_move_the_picture_only():
+def test_whole_pixels_and_sizes_move_the_picture_only(open_body):
     mesh = PANEL
-    body = open_shaded(mesh, surface_groups(mesh))
+    body = open_body(mesh, surface_groups(mesh))
     given, sun = views(mesh, 4, 40, radius=0.3), suns(np.random.default_rng(8), 4)
     moved = given.copy()
     moved[:, :, :2, 3] += np.array([3.0, -2.0], np.float32)
@@ -177,10 +187,10 @@ def test_whole_pixels_and_sizes_move_the_picture_only():
     body.close()
 
 
-def test_groups_together_are_the_whole_and_sums_are_the_planes_times_their_weights():
+def test_groups_together_are_the_whole_and_sums_are_the_planes_times_their_weights(open_body):
     mesh = PANEL
     groups, given, sun = surface_groups(mesh), views(mesh, 5, 40), suns(np.random.default_rng(9), 5)
-    body, whole = open_shaded(mesh, groups), open_shaded(mesh, np.zeros(mesh.n_faces, np.int32))
+    body, whole = open_body(mesh, groups), open_body(mesh, np.zeros(mesh.n_faces, np.int32))
     planes = body.planes(given, sun, **SIZES, gloss=GLOSS)
     together = whole.planes(given, sun, **SIZES, gloss=GLOSS)
     assert planes[:, : body.n_groups].sum(axis=1) == pytest.approx(together[:, 0], abs=1e-5)
@@ -197,17 +207,17 @@ def test_groups_together_are_the_whole_and_sums_are_the_planes_times_their_weigh
     assert coverage == pytest.approx(together[:, 1], abs=1e-6)
 
 
-def test_one_sun_for_all_is_the_same_sun_for_each():
-    body = open_shaded(PANEL, surface_groups(PANEL))
+def test_one_sun_for_all_is_the_same_sun_for_each(open_body):
+    body = open_body(PANEL, surface_groups(PANEL))
     given, sun = views(PANEL, 3, 40), np.array([2.0, 1.0, -2.0])
     one = body.planes(given, sun, **SIZES)
     assert np.array_equal(one, body.planes(given, np.tile(sun, (3, 1)), **SIZES))
     assert np.array_equal(one[1:2], body.planes(given[1:2], 5.0 * sun, **SIZES))
 
 
-def test_nothing_to_draw_gives_zeros_or_nothing():
+def test_nothing_to_draw_gives_zeros_or_nothing(open_body):
     mesh = PANEL
-    body = open_shaded(mesh, surface_groups(mesh))
+    body = open_body(mesh, surface_groups(mesh))
     given, sun = views(mesh, 7, 40), np.array([0.3, 0.0, -1.0])
     assert body.planes(given[:0], sun, **SIZES).shape == (0, body.n_groups + 1, 40, 40)
     assert body.pictures(given[:0], sun, **SIZES).shape == (0, 2, 40, 40)
@@ -225,9 +235,9 @@ def test_nothing_to_draw_gives_zeros_or_nothing():
     assert not body.planes(given[:1], np.zeros(3), **SIZES).any()
 
 
-def test_a_mirrored_body_shows_its_outside():
+def test_a_mirrored_body_shows_its_outside(open_body):
     mesh = mesh_of(box((1.0, 2.0, 3.0)))
-    body = open_shaded(mesh, np.zeros(12, np.int32))
+    body = open_body(mesh, np.zeros(12, np.int32))
     given = views(mesh, 3, 40)
     mirrored = given.copy()
     mirrored[:, :, 0] *= -1
@@ -237,8 +247,8 @@ def test_a_mirrored_body_shows_its_outside():
     assert np.abs(other[..., ::-1] - body.planes(given, sun, **SIZES)).sum() < 2e-3 * other.sum()
 
 
-def test_wrong_questions_are_refused():
-    body = open_shaded(PANEL, surface_groups(PANEL))
+def test_wrong_questions_are_refused(open_body):
+    body = open_body(PANEL, surface_groups(PANEL))
     given, sun = views(PANEL, 2, 40), np.array([0.0, 0.0, -1.0])
     with pytest.raises(ValueError, match="transforms"):
         body.planes(given[:, :1], sun, **SIZES)
@@ -247,6 +257,6 @@ def test_wrong_questions_are_refused():
     with pytest.raises(ValueError, match="cannot be drawn"):
         body.planes(given, sun, side=0, supersample=1, shadow_px=0)
     with pytest.raises(ValueError, match="groups"):
-        open_shaded(PANEL, np.zeros(3, np.int32))
+        open_body(PANEL, np.zeros(3, np.int32))
     with pytest.raises(DeviceError, match="GPU"):
-        open_shaded(PANEL, surface_groups(PANEL), reports=(), kind="gpu")
+        open_shaded(PANEL, surface_groups(PANEL), reports=(), kinds=("gpu",))

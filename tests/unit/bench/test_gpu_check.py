@@ -90,7 +90,7 @@ def test_without_a_gpu_it_goes_on_only_when_told(monkeypatch, tmp_path, kind, op
     device = {"name": "d", "kind": kind, "platform": "p", "rejected": None, "extensions": []}
     found = {"have_gl": False, "devices": [device] if kind else []}
     monkeypatch.setattr(gpu_check, "list_devices", lambda environment: (found, ""))
-    monkeypatch.setattr(gpu_check, "plan", lambda out, quick: [("tests", [sys.executable, "-c", "print('ok')"])])
+    monkeypatch.setattr(gpu_check, "plan", lambda out, quick, gpus: [("tests", [sys.executable, "-c", "print('ok')"])])
     assert main(["--out", str(tmp_path), *options]) == status
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["status"] == status
@@ -105,6 +105,6 @@ def test_a_failure_is_its_status(monkeypatch, tmp_path):
     }
     monkeypatch.setattr(gpu_check, "list_devices", lambda environment: (found, ""))
     monkeypatch.setattr(
-        gpu_check, "plan", lambda out, quick: [("tests", [sys.executable, "-c", "raise SystemExit(1)"])]
+        gpu_check, "plan", lambda out, quick, gpus: [("tests", [sys.executable, "-c", "raise SystemExit(1)"])]
     )
     assert main(["--out", str(tmp_path)]) == FAILED

@@ -21,6 +21,7 @@ def test_the_light_command(tmp_path):
         ("combined", 48),
         ("combined", 0),
         ("templates", 128),
+        ("evidence", 48),
     ]
     assert all(row["us_per_pose"] > 0 and row["mesh"] == "demo" for row in rows)
     assert rows[0]["agreement"] > 0.97
