@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from sqlalchemy import Connection, func, insert, or_, select, update
 
-from service.errors import NotFoundError, QuotaExceededError
+from service.errors import DamagedError, NotFoundError, QuotaExceededError
 from service.store.base import KeyRecord, Page
 from service.store.pages import numbered_page
 from service.store.seal import checked, record_values, row_of, sealed
@@ -28,8 +28,21 @@ def find(connection: Connection, key_id: str) -> KeyRecord | None:
 
     Raises ``DamagedError``.
     """
-    row = connection.execute(select(api_keys).where(api_keys.c.id == key_id)).first()
-    return None if row is None else KeyRecord(**record_values(checked(api_keys, row)))
+    found = find_all(connection, [key_id]).get(key_id)
+    if isinstance(found, DamagedError):
+        raise found
+    return found
+
+
+def find_all(connection: Connection, key_ids: Sequence[str]) -> dict[str, KeyRecord | DamagedError]:
+    """Those of many keys that there are, by id; why not where one is not as it was stored."""
+    found: dict[str, KeyRecord | DamagedError] = {}
+    for row in connection.execute(select(api_keys).where(api_keys.c.id.in_(key_ids))):
+        try:
+            found[row.id] = KeyRecord(**record_values(checked(api_keys, row)))
+        except DamagedError as error:
+            found[row.id] = error
+    return found
 
 
 def page(connection: Connection, tenant: str | None, after: int, limit: int) -> Page[KeyRecord]:

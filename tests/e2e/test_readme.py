@@ -19,6 +19,7 @@ from brahe.ccsds import AEM
 from service.cli.demo_service import ServiceProcess
 
 FRAMES = 3
+MADE = ".venv/bin/skypose simulate --out pass\n"  # the fixture makes a shorter one
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +49,8 @@ def folder(root: Path, port: int, tmp_path_factory: pytest.TempPathFactory) -> I
 
 
 def test_names_every_command(blocks: list[tuple[str, str]]) -> None:
-    assert [language for language, _ in blocks] == ["bash", "bash", "python", "bash"]
-    assert blocks[0][1] == ".venv/bin/skypose simulate --out pass\n"
+    assert [language for language, _ in blocks] == ["bash", "python", "bash"]
+    assert blocks[0][1].startswith(MADE)
 
 
 @pytest.mark.skipif(shutil.which("jq") is None or shutil.which("curl") is None, reason="curl or jq not installed")
@@ -57,7 +58,7 @@ def test_curl(blocks: list[tuple[str, str]], folder: Path, port: int) -> None:
     help_text = subprocess.run(["curl", "--help", "http"], capture_output=True, text=True, check=True).stdout
     if "--json" not in help_text:
         pytest.skip("this curl is older than 7.82")
-    script = blocks[1][1].replace(":8000", f":{port}")
+    script = blocks[0][1].removeprefix(MADE).replace(":8000", f":{port}")
     done = subprocess.run(["bash", "-e"], input=script, cwd=folder, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count('"orientation"') == FRAMES
@@ -65,7 +66,7 @@ def test_curl(blocks: list[tuple[str, str]], folder: Path, port: int) -> None:
 
 
 def test_python(blocks: list[tuple[str, str]], folder: Path, port: int) -> None:
-    script = blocks[2][1].replace(":8000", f":{port}")
+    script = blocks[1][1].replace(":8000", f":{port}")
     done = subprocess.run(
         [sys.executable, "-W", "error", "-"], input=script, cwd=folder, capture_output=True, text=True, timeout=120
     )
@@ -142,7 +143,7 @@ def test_ingest(root: Path, folder: Path, port: int) -> None:
 
 
 def test_offline(blocks: list[tuple[str, str]], folder: Path) -> None:
-    done = subprocess.run(["bash", "-e"], input=blocks[3][1], cwd=folder, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(["bash", "-e"], input=blocks[2][1], cwd=folder, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert len((folder / "track" / "estimates.csv").read_text().splitlines()) == FRAMES + 1
     assert (folder / "track" / "contact_sheet.png").is_file()
