@@ -21,7 +21,7 @@ Numbers = NDArray[np.float32]
 Window = tuple[slice, slice]  # rows and columns of a patch
 FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
 EIGHT, NEAR, ODD = 8, 704, 5  # as the kernel has them
-HERMITE, BUMPS = 12, 9
+EVEN_PLANES, HERMITE, BUMPS = 4, 12, 9
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class LightEvidence:
         rounds: int,
         which: Sequence[int] | None = None,
     ) -> Answers:
-        """``planes`` (N, Q, S, S): groups, even light, gloss of groups; none is lit where there is no even light.
+        """``planes`` (N, Q, S, S): groups, coverage, normals (3), gloss of groups; all are dark where none is covered.
 
         ``terms``: of all poses, or of each its own, which may differ in priors, point spread, discrepancy and
         photons. Each is of the planes that ``which`` says, in order where nothing is said.
@@ -83,7 +83,7 @@ class LightEvidence:
         unknowns, pixels = self._unknowns(n_planes, terms), side * side
         out = np.empty((n, LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 4)), np.float32)
         answers = self._run(planes, n_groups, [terms], rounds, out)
-        always = unknowns - (n_planes - 1)
+        always = unknowns - (n_planes - EVEN_PLANES)
         return answers, [_details(row, unknowns, always, side) for row in out]
 
     def close(self) -> None:
@@ -93,7 +93,7 @@ class LightEvidence:
 
     @staticmethod
     def _unknowns(n_planes: int, terms: Terms) -> int:
-        return n_planes - 1 + 6 + HERMITE * terms.speckle + 2 * BUMPS * terms.shifts
+        return n_planes - EVEN_PLANES + 9 + HERMITE * terms.speckle + 2 * BUMPS * terms.shifts
 
     def _run(
         self,

@@ -50,12 +50,12 @@ class Terms(Protocol):
 
     @property
     def offset(self) -> Numbers:
-        """(Q - 1,) log of each positive plane's share of the gain."""
+        """(Q - 4,) log of each positive plane's share of the gain."""
         ...
 
     @property
     def mean(self) -> Numbers:
-        """(Q - 1 + 6 + ...,): positives, gain, even, hidden, sky (3), speckle, shifts."""
+        """(Q - 4 + 9 + ...,): positives, gain, even, hidden, sky (3), tilt of the even light (3), speckle, shifts."""
         ...
 
     @property

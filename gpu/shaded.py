@@ -13,7 +13,7 @@ from gpu.lens import NEAREST, NO_LENS, Lens, magnified
 from gpu.mesh import Mesh
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, work_items, zero
 from gpu.shaded_faces import LANES, FaceTable, Indices, face_table
-from gpu.shaded_reference import BIAS_TEXELS, STEEPEST
+from gpu.shaded_reference import BIAS_TEXELS, EVEN_PLANES, STEEPEST
 from gpu.shaded_views import SIDE, views_of_part
 
 Numbers = NDArray[np.float32]
@@ -86,13 +86,14 @@ class ShadedBody:
         gloss: tuple[float, ...] = (),
         lens: Lens = NO_LENS,
     ) -> Numbers:
-        """(N, G + 1 + L G, side, side): each group in the Sun's light, the coverage, then each lobe of each group.
+        """(N, G + 4 + L G, side, side): each group in the Sun's light, coverage, normals, then each group's lobes.
 
         A group's plane is the mean over a pixel's samples of n . s where the group is seen and the Sun reaches it;
-        a lobe's that of (n . h)^k, h half-way between the Sun and the camera.
+        a lobe's that of (n . h)^k, h half-way between the Sun and the camera. Normals (3): the mean of n, whatever is
+        seen.
         """
         given = self._given(part_transforms, towards_sun)
-        out = np.zeros((len(given[0]), self.n_groups * (1 + len(gloss)) + 1, side, side), np.float32)
+        out = np.zeros((len(given[0]), self.n_groups * (1 + len(gloss)) + EVEN_PLANES, side, side), np.float32)
         self._launch(self._planes, given, out, (side, supersample, shadow_px), gloss, (), lens)
         return out
 
@@ -108,7 +109,7 @@ class ShadedBody:
         gloss: tuple[float, ...] = (),
         lens: Lens = NO_LENS,
     ) -> Numbers:
-        """(N, side, side) sums of the planes times ``coefficients``, (G + 1 + L G,) or (N, G + 1 + L G)."""
+        """(N, side, side) sums of the planes times ``coefficients``, (G + 4 + L G,) or (N, G + 4 + L G)."""
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), 1, side, side), np.float32)
         self._sum(given, coefficients, out, (side, supersample, shadow_px), gloss, lens)
@@ -127,7 +128,7 @@ class ShadedBody:
         """(N, 2, side, side): all groups in the Sun's light with ``EVEN_LIGHT`` added, and the coverage."""
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), 2, side, side), np.float32)
-        alike = np.append(np.ones(self.n_groups), EVEN_LIGHT)
+        alike = np.concatenate([np.ones(self.n_groups), [EVEN_LIGHT, 0.0, 0.0, 0.0]])
         self._sum(given, alike, out, (side, supersample, shadow_px), (), lens)
         return out
 
@@ -161,7 +162,7 @@ class ShadedBody:
         gloss: tuple[float, ...],
         lens: Lens,
     ) -> None:
-        count, n = self.n_groups * (1 + len(gloss)) + 1, len(out)
+        count, n = self.n_groups * (1 + len(gloss)) + EVEN_PLANES, len(out)
         if coefficients.shape not in ((count,), (n, count)):
             raise ValueError(f"coefficients are {coefficients.shape}, not ({count},) or ({n}, {count})")
         with device_errors(self.name):
@@ -192,8 +193,8 @@ class ShadedBody:
         each = (
             side * supersample * stride
             + shadow_side * shadow_stride
-            + (3 + len(gloss or ())) * self._table.n_padded
-            + 2 * stride
+            + (6 + len(gloss or ())) * self._table.n_padded
+            + (1 + EVEN_PLANES) * stride
         )
         each = -(-(each + 2 * LANES) // 32) * 32
         with device_errors(self.name):

@@ -15,6 +15,7 @@ from gpu.zbuffer import Visible, rasterise
 Floats = NDArray[np.float64]
 BIAS_TEXELS = 0.3  # a face this much deeper than what the Sun's view holds is still in the light
 STEEPEST = 100.0  # of a face in the Sun's view, texels of depth for each texel
+EVEN_PLANES = 4  # coverage, and the mean normal's three parts
 _BORDER = 1.0  # texels around the body in the Sun's view
 _CAMERA = np.array([0.0, 0.0, -1.0])  # towards it
 
@@ -45,17 +46,17 @@ def reference_planes(
     towards_sun: NDArray[np.floating],
     drawing: Drawing,
 ) -> Floats:
-    """(N, G + 1 + L G, side, side): each group in the Sun's light, the coverage, each group's lobes of gloss."""
+    """(N, G + 4 + L G, side, side): each group in the Sun's light, coverage, normals (3), each group's gloss."""
     suns = np.broadcast_to(np.asarray(towards_sun, np.float64), (len(part_transforms), 3))
     n_groups, side = int(groups.max(initial=0)) + 1, drawing.side
-    out = np.zeros((len(part_transforms), n_groups * (1 + len(drawing.gloss)) + 1, side, side))
+    out = np.zeros((len(part_transforms), n_groups * (1 + len(drawing.gloss)) + EVEN_PLANES, side, side))
     for k, (one, sun) in enumerate(zip(part_transforms.astype(np.float64), suns, strict=True)):
         out[k] = _draw(mesh, groups, one, sun / np.linalg.norm(sun), drawing)
     return out
 
 
 def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floats, drawing: Drawing) -> Floats:
-    """(G + 1 + L G, side, side) of one pose."""
+    """(G + 4 + L G, side, side) of one pose."""
     fine = drawing.side * drawing.supersample
     placed = transforms * drawing.supersample
     corners, lens = mesh.placed(placed)[mesh.faces], magnified(drawing.lens, drawing.supersample)
@@ -72,14 +73,15 @@ def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floa
     if drawing.shadow_px and len(face):
         lit *= _reached(_sun_view(mesh, placed, corners, sun, drawing), visible, normal, sun, lens)
     n_groups = int(groups.max(initial=0)) + 1
-    planes = np.zeros((n_groups * (1 + len(drawing.gloss)) + 1, fine, fine))
+    planes = np.zeros((n_groups * (1 + len(drawing.gloss)) + EVEN_PLANES, fine, fine))
     planes[groups[face], rows, columns] = lit * np.maximum(cosine[face], 0.0)
     planes[n_groups, rows, columns] = 1.0
+    planes[n_groups + 1 : n_groups + EVEN_PLANES, rows, columns] = normal[face].T
     half_way = sun + _CAMERA
     half_way /= max(float(np.linalg.norm(half_way)), 1e-12)
     for k, exponent in enumerate(drawing.gloss):
         shine = np.maximum(normal @ half_way, 0.0)[face] ** exponent
-        planes[n_groups * (1 + k) + 1 + groups[face], rows, columns] = lit * shine
+        planes[n_groups * (1 + k) + EVEN_PLANES + groups[face], rows, columns] = lit * shine
     size = (drawing.side, drawing.supersample)
     return np.asarray(planes.reshape(len(planes), *size, *size).mean(axis=(2, 4)))
 

@@ -60,10 +60,10 @@ def pose(turn=(0.4, -0.7, 0.3), joint=35.0, middle=(32.0, 31.0), rim_px=24.0) ->
     )
 
 
-def shares(drawing: Drawing, gain: float, albedo=(1.0, 1.4, 0.7), even=0.04, gloss=0.15) -> np.ndarray:
-    """(Q,) coefficients of the drawing's planes: counts."""
+def shares(drawing: Drawing, gain: float, albedo=(1.0, 1.4, 0.7), even=(0.04, 0.0, 0.0, 0.0), gloss=0.15) -> np.ndarray:
+    """(Q,) coefficients of the drawing's planes: counts. ``even``: even light and its tilt."""
     n = drawing.n_groups
-    return gain * np.concatenate([np.array(albedo)[:n], [even], np.full(n, gloss)]).astype(np.float32)
+    return gain * np.concatenate([np.array(albedo)[:n], even, np.full(n, gloss)]).astype(np.float32)
 
 
 def seen(at: Poses, coefficients: np.ndarray, sun=SUN, core=1.3, wings=0.0, quality=QUALITY) -> np.ndarray:

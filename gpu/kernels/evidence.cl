@@ -16,7 +16,9 @@
 #define SKY 0
 #define RESIDUAL 3
 #define EVEN 4
-#define SPECKLE 5
+#define TILT 5  // (3) normals: even light comes more from one side than from the other
+#define EVEN_PLANES 4
+#define SPECKLE 8
 #define FAINT 1e-4f  // of the noise: where no pixel of a tile may show more of a picture, it is left out there
 #define ODD 5  // lanes between pictures: at whole pages apart they would push each other out of the nearest cache
 
@@ -86,7 +88,8 @@ static int slot_of(const Scene s, const int lit, const int m)
 {
     if (m < lit) return s.first + m;
     if (m < lit + 3) return EVEN;
-    return m < lit + 6 ? SKY + m - lit - 3 : SPECKLE + m - lit - 6;
+    if (m < lit + 6) return SKY + m - lit - 3;
+    return m < lit + 9 ? TILT + m - lit - 6 : SPECKLE + m - lit - 9;
 }
 
 // Gauss-Hermite deviations of the point spread, orders 2 to 4: d^n I, each from one an order lower; their scale is
@@ -156,6 +159,10 @@ static float draw_model(const Scene s, const Room r, const int lit, const int co
     r.scale[lit + 1] = gain;
     r.scale[lit + 2] = -s.hidden;
     add(r.light, picture_in(s, r, EVEN), body, s.side, gain * (float)r.value[lit + 1]);
+    for (int k = 0; k < 3; ++k) {
+        r.scale[lit + 6 + k] = exp(s.gain);  // not with the gain: a body of dark paint could hide in its even light
+        add(r.light, picture_in(s, r, TILT + k), body, s.side, r.scale[lit + 6 + k] * (float)r.value[lit + 6 + k]);
+    }
     slope_across(r.light, body, s.side, r.across);
     slope_down(r.light, body, s.side, r.down);
     if (s.speckle) draw_speckle(s, r, body);
@@ -184,9 +191,9 @@ static float draw_model(const Scene s, const Room r, const int lit, const int co
                 variance += s.photon / s.area * fmax(light, 0.0f)
                     + s.wrong * (light * light + s.edge2 * (dx * dx + dy * dy));
                 model = fma((floats)hidden, floats_at(even + k), model);
-                for (int m = lit + 6; m < count; ++m)
+                for (int m = lit + 9; m < count; ++m)
                     model = fma((floats)(r.scale[m] * (float)r.value[m]),
-                        floats_at(picture_in(s, r, SPECKLE + m - lit - 6) + k), model);
+                        floats_at(picture_in(s, r, SPECKLE + m - lit - 9) + k), model);
             }
             floats residual = floats_at(data + k) - model;
             const ints censored = (convert_int16(vload16(0, marks + k)) & 1) != 0;
@@ -245,17 +252,13 @@ static bool leaves(const Room r, const int lit, const int k, double *end)
     return *end != there;
 }
 
-// One step of all unknowns, those that would leave their range to its end and the others to their best with that. How
-// much its linear model promises, nats. False: not positive.
-static bool step(const Scene s, const Room r, const int lit, const int count, const int row, double *promised)
+// The step of all unknowns from their normal matrix and pull: those that would leave their range (`firm`) to its end,
+// and the others to their best with that, until no more would. False: not positive.
+static bool held_step(const Scene s, const Room r, const int lit, const int count, const int row, bool *firm)
 {
-    for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
-    if (!factorise(r.normal, count, row)) return false;
-    solve(r.normal, count, row, r.move);
     double end[2];
-    const bool firm[2] = {leaves(r, lit, lit + 1, end), leaves(r, lit, lit + 2, end + 1)};
-    if (firm[0] || firm[1]) {
-        draw_normal(s, r, lit, count);
+    firm[0] = firm[1] = false;
+    for (bool more = true; more;) {
         for (int i = 0, k = lit + 1; i < 2; ++i, ++k)
             if (firm[i]) {
                 r.normal[k * row + k] *= FIRM;
@@ -263,7 +266,20 @@ static bool step(const Scene s, const Room r, const int lit, const int count, co
             }
         if (!factorise(r.normal, count, row)) return false;
         solve(r.normal, count, row, r.move);
+        more = false;
+        for (int i = 0; i < 2; ++i)
+            if (!firm[i] && leaves(r, lit, lit + 1 + i, end + i)) more = firm[i] = true;
+        if (more) draw_normal(s, r, lit, count);
     }
+    return true;
+}
+
+// One step of all unknowns. How much its linear model promises, nats. False: not positive.
+static bool step(const Scene s, const Room r, const int lit, const int count, const int row, double *promised)
+{
+    for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
+    bool firm[2];
+    if (!held_step(s, r, lit, count, row, firm)) return false;
     *promised = 0.0;
     for (int k = 0; k < count; ++k) {
         *promised += 0.5 * r.pull[k] * r.move[k];
@@ -338,9 +354,10 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
             r.products.reach[(slot * s.side + column) / LANES]
                 = body->left <= column && column < body->right ? units_of(s.side, body->top, body->bottom) : 0;
     }
-    draw_blurred(s, r, covered, cover, *body, weights, radii, taps, picture_in(s, r, EVEN));
+    for (int k = 0; k < EVEN_PLANES; ++k)
+        draw_blurred(s, r, covered + k * s.pixels, cover, *body, weights, radii, taps, picture_in(s, r, EVEN + k));
     for (int p = 0; p < s.positives; ++p) {
-        __global const float *plane = planes + (p < groups ? p : p + 1) * s.pixels;
+        __global const float *plane = planes + (p < groups ? p : p + EVEN_PLANES) * s.pixels;
         const Box box = box_of(plane, cover, s.side, LEAST_LIT);
         if (box.top >= box.bottom) continue;
         const int slot = s.first + lit;
@@ -363,7 +380,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
     for (int k = 0; k < lit + s.unknowns - s.positives; ++k) r.scale[k] = 1.0f;
     if (s.speckle) {
         const float factorial[5] = {1, 1, 2, 6, 24};
-        int m = lit + 6;
+        int m = lit + 9;
         for (int order = 2; order <= 4; ++order)
             for (int b = 0; b <= order; ++b)
                 r.scale[m++] = pown(s.width, order) / sqrt(factorial[order - b] * factorial[b]);
@@ -430,12 +447,11 @@ static void tell_normal(const Scene s, const Room r, const int count, const int 
 }
 
 // The same of unknowns that a step would take beyond their ends: a pose near by does not move them, either.
-static void tell_firm(const Scene s, const Room r, const int lit, const int count, __global float *out)
+static void tell_firm(const Scene s, const int lit, const int count, const bool *firm, __global float *out)
 {
     __global float *to = out + LANES + (4 + s.unknowns) * s.pixels + 2 * s.unknowns;
-    double end;
-    for (int k = lit + 1; k < lit + 3; ++k)
-        if (leaves(r, lit, k, &end)) {
+    for (int i = 0, k = lit + 1; i < 2; ++i, ++k)
+        if (firm[i]) {
             to[k * count + k] *= (float)FIRM;
             to[s.unknowns * s.unknowns + k] = 0.0f;
         }
@@ -468,8 +484,11 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
         for (int row = body.top; row < body.bottom; ++row, picked += wide)
             for (int column = body.left; column < body.right; column += LANES) {
                 const bool in = row >= box.top && row < box.bottom && column >= box.left && column < box.right;
-                put(picked + column - body.left,
-                    in ? r.scale[i] * floats_at(picture + row * s.side + column) : (floats)0.0f);
+                const int k = row * s.side + column;
+                floats column_of = in ? r.scale[i] * floats_at(picture + k) : (floats)0.0f;
+                for (int m = lit + 6; i == lit && m < lit + 9; ++m)  // of the light, what grows with the gain
+                    column_of -= r.scale[m] * (float)r.value[m] * floats_at(picture_in(s, r, TILT + m - lit - 6) + k);
+                put(picked + column - body.left, column_of);
             }
     }
     to += s.unknowns * s.pixels;
@@ -501,8 +520,9 @@ __kernel void evidence(
     const ulong each, volatile __global int *next)
 {
     const int more = (speckle ? HERMITE : 0) + (shifts ? 2 * BUMPS : 0), pixels = side * side;
-    Scene s = {side, pixels, pixels + ODD * LANES, n_planes, n_planes - 1, n_planes - 1 + 6 + more, speckle,
-        shifts, rounds, 0, EVEN + 1 + more, length, n_stars, sigma2, 0.0f, 0.0f, area, 0.0f, edge2, 0.0f, gain, star};
+    const int positives = n_planes - EVEN_PLANES;
+    Scene s = {side, pixels, pixels + ODD * LANES, n_planes, positives, positives + 9 + more, speckle, shifts, rounds,
+        0, SPECKLE + more, length, n_stars, sigma2, 0.0f, 0.0f, area, 0.0f, edge2, 0.0f, gain, star};
     const Room r = room_in(memory + get_global_id(0) * each, s);
     prepare(s, r, slopes);
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
@@ -546,13 +566,16 @@ __kernel void evidence(
         __global float *drawn = coefficients + (size_t)pose * n_planes;
         const float bright = (float)exp(r.value[lit]);
         for (int p = 0; p < s.positives; ++p)
-            drawn[p < groups ? p : p + 1] = bright * exp(offset[p] + given_mean[(size_t)pose * every + p]);
-        for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + 1] = r.scale[m];
+            drawn[p < groups ? p : p + EVEN_PLANES] = bright * exp(offset[p] + given_mean[(size_t)pose * every + p]);
+        for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + EVEN_PLANES] = r.scale[m];
         drawn[groups] = bright * (float)r.value[lit + 1] - s.hidden * (float)r.value[lit + 2];
+        for (int k = 0; k < 3; ++k) drawn[groups + 1 + k] = r.scale[lit + 6 + k] * (float)r.value[lit + 6 + k];
         tell_values(s, r, lit, given_mean + (size_t)pose * every, values + (size_t)pose * s.unknowns);
         if (details) {
-            solve(r.normal, count, row, r.move);
-            tell_firm(s, r, lit, count, details + pose * told_size(s));
+            bool firm[2];
+            draw_normal(s, r, lit, count);
+            held_step(s, r, lit, count, row, firm);
+            tell_firm(s, lit, count, firm, details + pose * told_size(s));
             tell(s, r, lit, count, body, details + pose * told_size(s));
         }
     }

@@ -10,7 +10,8 @@ static Room room_in(__global float *memory, const Body body, const Sizes sizes)
     room.keys = (__global int *)memory;
     room.map = memory + sizes.fine * sizes.stride;
     room.light = room.map + sizes.shadow_side * sizes.shadow_stride;
-    room.aside = room.light + body.padded;
+    room.even = room.light + body.padded;
+    room.aside = room.even + 3 * body.padded;
     room.down = room.aside + body.padded;
     room.gloss = room.down + body.padded;
     room.row = room.gloss + sizes.n_gloss * body.padded;
@@ -118,7 +119,7 @@ static void add_to_planes(const Body body, const Sizes sizes, const Room room, c
                 __global const float *gloss = room.gloss + g * body.padded;
                 float shine = 0.0f;
                 for (int j = first; j < k; ++j) shine += bright[j] == 0.0f ? 0.0f : reach[j] * gloss[number[j]];
-                to[(group + sizes.n_groups * (1 + g) + 1) * pixels] += shine;
+                to[(group + sizes.n_groups * (1 + g) + EVEN_PLANES) * pixels] += shine;
             }
         }
 }
@@ -137,13 +138,12 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
     if (light.shadows) draw_from_sun(body, sizes, room, light, transforms, map_rows);
     const int pixels = sizes.side * sizes.side, step = sizes.supersample;
     const float each = 1.0f / (float)(step * step), per_step = w.steps > 0.0f ? 1.0f / w.steps : 0.0f;
-    const float even = share ? share[sizes.n_groups] : 0.0f;
     __global float *sums = room.row, *covered = room.row + sizes.stride;
-    const bool covers = !share || pictures > 1;
+    const int means = share ? (pictures > 1 ? 1 : 0) : EVEN_PLANES;  // of the coverage, and of normals
     __global float *coverage = out + (share ? 1 : sizes.n_groups) * pixels;
     for (int i = w.top / step; i < w.bottom / step; ++i) {
         clear(sums, sizes.stride);
-        if (covers) clear(covered, sizes.stride);
+        clear(covered, means * sizes.stride);
         bool some = false;
         for (int row = i * step; row < (i + 1) * step; ++row)
             for (int column = w.left; column < w.right; column += LANES) {
@@ -156,13 +156,19 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
                 floats lit = 1.0f;
                 if (light.shadows && any_of(full != 0.0f))
                     lit = reached(sizes, room, light.sun, row, column, depth, face);
-                if (covers) put(covered + column, floats_at(covered + column) + (hit ? (floats)1.0f : 0.0f));
+                for (int k = 0; k < means; ++k) {
+                    __global float *to = covered + k * sizes.stride + column;
+                    const floats one = k == 0 ? (floats)1.0f : gather(room.even + (k - 1) * body.padded, face);
+                    put(to, floats_at(to) + (hit ? one : 0.0f));
+                }
+                const floats even = share ? gather(room.even, face) : 0.0f;
                 if (share) put(sums + column, floats_at(sums + column) + (hit ? full * lit + even : 0.0f));
                 else add_to_planes(body, sizes, room, column, hit ? face : -1, full * lit * each, lit * each,
                     out + i * sizes.side);
             }
         if (some && share) give_row(sizes, sums, out + i * sizes.side, each);
-        if (some && covers) give_row(sizes, covered, coverage + i * sizes.side, each);
+        for (int k = 0; some && k < means; ++k)
+            give_row(sizes, covered + k * sizes.stride, coverage + k * pixels + i * sizes.side, each);
     }
 }
 
@@ -178,7 +184,7 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
     {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_gloss, lens, \
         middle_x, middle_y}
 
-// out (N, groups + 1 + groups * gloss, side, side)
+// out (N, groups + EVEN_PLANES + groups * gloss, side, side)
 __kernel void planes(
     __global const float *transforms, __global const float *suns, const int poses, BODY_GIVEN, SIZES_GIVEN,
     __global const float *exponents, __global float *out, __global float *memory, const int each,
@@ -187,7 +193,7 @@ __kernel void planes(
     const Body body = BODY;
     const Sizes sizes = SIZES;
     const Room room = room_in(memory + get_global_id(0) * (size_t)each, body, sizes);
-    const size_t size = (size_t)(n_groups * (1 + n_gloss) + 1) * side * side;
+    const size_t size = (size_t)(n_groups * (1 + n_gloss) + EVEN_PLANES) * side * side;
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next))
         draw_pose(body, sizes, room, transforms + (size_t)pose * parts * 12, vload3(pose, suns), exponents, 0, 0,
             out + pose * size);

@@ -4,6 +4,7 @@
 // which a face is taken to be no steeper there; and NEAREST, the share of the distance to the body's centre within
 // which nothing is drawn as if it were nearer.
 
+#define EVEN_PLANES 4        // coverage, and the mean normal's three parts
 #define BORDER 1.0f          // texels around the body in the Sun's view
 #define DIMMEST -23.0f       // log2 of a lobe of gloss below which it is dark: tiny numbers are slow to reckon with
 
@@ -18,9 +19,10 @@ typedef struct {
     __global int *keys;             // (fine, stride)
     __global float *map;            // (shadow_side, shadow_stride) depths from the Sun
     __global float *light;          // (padded): what a face shows where the Sun reaches it
+    __global float *even;           // (3, padded) normals; with weights of planes (padded) light from everywhere
     __global float *aside, *down;   // (padded): slopes of a face in the Sun's view
     __global float *gloss;          // (n_gloss, padded)
-    __global float *row;            // (2, stride): sums of samples
+    __global float *row;            // (1 + EVEN_PLANES, stride): sums of samples
 } Room;
 
 typedef struct {
@@ -127,14 +129,18 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
     const ints facing = cosine > 0.0f;
     floats sum = facing ? cosine : 0.0f;
     const ints group = ints_at(body.group + first);
-    if (share) sum *= gather(share, group);
+    if (share) {
+        __global const float *even = share + sizes.n_groups;
+        sum *= gather(share, group);
+        put(room.even + first, even[0] + even[1] * n[0] + even[2] * n[1] + even[3] * n[2]);
+    } else for (int k = 0; k < 3; ++k) put(room.even + k * body.padded + first, n[k]);
     if (sizes.n_gloss > 0) {
         const floats towards = n[0] * light.half_way.x + n[1] * light.half_way.y + n[2] * light.half_way.z;
         const floats shine = towards > 0.0f ? towards : 0.0f;
         for (int k = 0; k < sizes.n_gloss; ++k) {
             const floats power = exponents[k] * log2(shine);
             const floats lobe = facing & (power > DIMMEST) ? exp2(power) : 0.0f;
-            if (share) sum += gather(share + sizes.n_groups * (1 + k) + 1, group) * lobe;
+            if (share) sum += gather(share + sizes.n_groups * (1 + k) + EVEN_PLANES, group) * lobe;
             else put(room.gloss + k * body.padded + first, lobe);
         }
     }

@@ -105,7 +105,7 @@ def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
     drawn, groups = _prepared(mesh, side, plan)
     body, rng = open_shaded(drawn, groups, kinds=plan.kinds), _rng(plan)
     given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
-    shares = np.append(np.linspace(0.5, 1.0, body.n_groups), 0.04)
+    shares = np.concatenate([np.linspace(0.5, 1.0, body.n_groups), [0.04, 0.0, 0.0, 0.0]])
     few = max(1, plan.poses // 8)
 
     def planes(n: int) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ from service.inference.domain import Domain
 from service.inference.filters.given import Given
 from service.inference.filters.mixture import step
 from service.inference.light import Light
-from service.inference.model.drawing import Lens
+from service.inference.model.drawing import EVEN_PLANES, Lens
 from service.inference.model.paint import unlearnt
 from service.inference.model.prior import GLOSS_LOBES
 from service.inference.model.search import make_bank
@@ -123,10 +123,10 @@ class _Kept:
 
 def of_body(state: FilterState | None, body: Body) -> FilterState | None:
     """A state whose modes know as many surfaces as the body has: another version may have cut it otherwise."""
-    planes = body.fine.n_groups * (1 + len(GLOSS_LOBES)) + 1
-    if state is None or state.mixture is None or state.mixture.paint.shape[-1] == planes - 1:
+    fresh = unlearnt(body.fine.n_groups * (1 + len(GLOSS_LOBES)) + EVEN_PLANES)
+    if state is None or state.mixture is None or state.mixture.paint.shape[-1] == fresh.shape[-1]:
         return state
-    fresh = np.tile(unlearnt(planes), (len(state.mixture.poses), 1, 1))
+    fresh = np.tile(fresh, (len(state.mixture.poses), 1, 1))
     return replace(state, mixture=replace(state.mixture, paint=fresh))
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from gpu.device import find_devices
 from gpu.evidence import LightEvidence, open_evidence
+from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import ROUNDS, Fit, fit_light, terms_of
 from service.inference.model.paint import painted
 from service.inference.model.scene import Scene
@@ -35,7 +36,7 @@ def light(request) -> Iterator[LightEvidence]:
 
 
 def wedges(rng: np.random.Generator, side: int, groups: int, glossy: int) -> np.ndarray:
-    """(Q, side, side): a disc cut like a cake, each piece evenly lit but the last, which is dark; gloss in spots."""
+    """(Q, side, side): a dome cut like a cake, each piece evenly lit but the last, which is dark; gloss in spots."""
     y, x = np.mgrid[:side, :side] + 0.5
     cx, cy = rng.uniform(0.35, 0.65, 2) * side
     radius = rng.uniform(0.2, 0.4) * side
@@ -47,7 +48,9 @@ def wedges(rng: np.random.Generator, side: int, groups: int, glossy: int) -> np.
         disc * np.exp(-0.5 * np.hypot(x - sx, y - sy) ** 2 / 1.5**2) for sx, sy in _places(rng, cx, cy, radius, glossy)
     ]
     spots = [spot * (spot > 1e-3) * (k % 3 > 0) for k, spot in enumerate(spots)]  # a third of them are empty
-    return np.stack([*lit, disc, *spots]).astype(np.float32)
+    across, down = (x - cx) / radius, (y - cy) / radius  # a dome, seen from above
+    normals = disc * np.stack([across, down, -np.sqrt(np.maximum(1 - across**2 - down**2, 0.0))])
+    return np.stack([*lit, disc, *normals, *spots]).astype(np.float32)
 
 
 def _places(rng: np.random.Generator, cx: float, cy: float, radius: float, count: int) -> np.ndarray:
@@ -60,6 +63,7 @@ def scene_of(
     """A noisy frame of the first pose's body and of stars, some of it brighter than pixels can tell."""
     albedo = np.exp(rng.normal(0, 0.5, len(planes)))
     albedo[groups:] *= 0.1
+    albedo[groups + 1 : groups + EVEN_PLANES] = 0.02, -0.03, 0.01
     image = spread(np.tensordot(900.0 * albedo, planes, 1).astype(np.float32)[None], point_spread, 0.0)[0]
     image = image + rng.normal(0, 1, image.shape) * np.sqrt(25.0 + 0.5 * image)
     starry = np.zeros(image.shape, np.uint8)
@@ -85,7 +89,7 @@ def agrees(answers, k: int, wanted: Fit) -> None:
     assert answers.log_evidence[k] == pytest.approx(wanted.log_evidence, abs=tolerance)
     assert answers.chi2[k] == pytest.approx(wanted.chi2, rel=2e-2, abs=1e-3)  # a pixel is on the body or not
     scale = np.abs(wanted.coefficients).max()
-    np.testing.assert_allclose(answers.coefficients[k], wanted.coefficients, rtol=RELATIVE, atol=RELATIVE * scale)
+    np.testing.assert_allclose(answers.coefficients[k], wanted.coefficients, rtol=3e-3, atol=3e-3 * scale)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -124,7 +128,7 @@ def test_details_are_what_the_twin_knows(light, name):
         beyond[window] = 0.0
         assert np.abs(beyond).max() < RELATIVE * bright
         for column, expected in zip(details[k].columns, wanted.columns[:, *window], strict=True):
-            np.testing.assert_allclose(column, expected, atol=2e-3 * max(np.abs(expected).max(), 1e-3 * bright))
+            np.testing.assert_allclose(column, expected, atol=4e-3 * max(np.abs(expected).max(), 1e-3 * bright))
 
 
 def test_poses_may_have_their_own_priors_point_spread_and_discrepancy(light):
@@ -132,7 +136,7 @@ def test_poses_may_have_their_own_priors_point_spread_and_discrepancy(light):
     planes = np.stack([wedges(rng, 32, 4, 4) for _ in range(2)])
     scene = scene_of(rng, planes[0], 4, PointSpread(1.1, 0.8), True)
     scenes = [scene, scene.under(discrepancy=0.3), scene.under(point_spread=PointSpread(1.9, 1.4))]
-    terms = [terms_of(one, 4, 9) for one in scenes]
+    terms = [terms_of(one, 4, 12) for one in scenes]
     terms.append(painted(terms[0], rng.uniform(0.1, 3.0, (1, 2, 8))))
     which = [1, 0, 1, 0]
     found = light.evidence(planes, 4, terms, 4, which)
@@ -164,10 +168,10 @@ def test_unknowns_go_on_where_others_ended(light, name):
 @pytest.mark.parametrize("count", [0, 1, 7])
 def test_poses_do_not_hear_of_each_other(light, count, goes_on):
     rng = np.random.default_rng(3)
-    planes = np.zeros((7, 9, 96, 96), np.float32)
+    planes = np.zeros((7, 12, 96, 96), np.float32)
     for k, at in enumerate((0, 60) * 3 + (0,)):  # in turn elsewhere: light that the one before leaves would show
         planes[k, :, at : at + 32, at : at + 32] = wedges(rng, 32, 4, 4)
-    terms = terms_of(scene_of(rng, planes[0], 4, SHARP, True), 4, 9)
+    terms = terms_of(scene_of(rng, planes[0], 4, SHARP, True), 4, 12)
     if goes_on:
         terms = terms.begun(np.repeat(light.evidence(planes[:1], 4, terms, 4).values, 7, 0))
     whole = light.evidence(planes, 4, terms, 4)
@@ -177,7 +181,7 @@ def test_poses_do_not_hear_of_each_other(light, count, goes_on):
     for k in range(7):
         one = light.evidence(planes[k : k + 1], 4, alone, 4)
         np.testing.assert_array_equal(one.log_evidence, whole.log_evidence[k : k + 1])
-    assert some.log_evidence.shape == (count,) and some.coefficients.shape == (count, 9) and len(more) == count
+    assert some.log_evidence.shape == (count,) and some.coefficients.shape == (count, 12) and len(more) == count
     np.testing.assert_allclose(some.log_evidence, whole.log_evidence[:count], rtol=1e-6)
     np.testing.assert_allclose(some.coefficients, whole.coefficients[:count], rtol=1e-5)
 
@@ -186,11 +190,11 @@ def edge_cases() -> dict[str, np.ndarray]:
     """Planes of 3 groups and 3 gloss planes on 48 pixels: bodies that are hardly there."""
     one = wedges(np.random.default_rng(5), 48, 3, 3)
     nowhere, dark, dim, corner, pixel = (np.zeros_like(one) for _ in range(5))
-    dark[3] = one[3]  # in shadow: even light only
+    dark[3:7] = one[3:7]  # in shadow: even light only
     dim[:] = 2e-5 * one
-    dim[3] = one[3]  # each plane below what counts as lit
+    dim[3:7] = one[3:7]  # each plane below what counts as lit
     corner[:, -9:, -7:] = one[:, 20:29, 20:27]
-    pixel[[0, 3], 0, 47] = 0.7
+    pixel[[0, 3, 5], 0, 47] = 0.7
     return {"nowhere": nowhere, "dark": dark, "dim": dim, "corner": corner, "pixel": pixel}
 
 
@@ -199,7 +203,7 @@ def edge_cases() -> dict[str, np.ndarray]:
 def test_bodies_that_are_hardly_there(light, name, point_spread):
     planes = edge_cases()[name]
     rng = np.random.default_rng(6)
-    terms = terms_of(scene_of(rng, wedges(rng, 48, 3, 3), 3, point_spread, True, stars=0), 3, 7)
+    terms = terms_of(scene_of(rng, wedges(rng, 48, 3, 3), 3, point_spread, True, stars=0), 3, 10)
     found = light.evidence(planes[None], 3, terms, ROUNDS)
     assert np.isfinite(found.coefficients).all()
     agrees(found, 0, fit_light(planes, 3, terms))
@@ -210,13 +214,13 @@ def test_pixels_of_which_only_a_least_value_is_known(light, full):
     rng = np.random.default_rng(8)
     planes = wedges(rng, 32, 3, 3)
     scene = scene_of(rng, planes, 3, SHARP, True)
-    terms = terms_of(replace(scene, censored=np.full((32, 32), full)), 3, 7)
+    terms = terms_of(replace(scene, censored=np.full((32, 32), full)), 3, 10)
     agrees(light.evidence(planes[None], 3, terms, ROUNDS), 0, fit_light(planes, 3, terms))
 
 
 def test_a_side_of_no_whole_lanes_is_refused(light):
     rng = np.random.default_rng(1)
     planes = wedges(rng, 40, 2, 0)
-    terms = terms_of(scene_of(rng, planes, 2, SHARP, False), 2, 3)
+    terms = terms_of(scene_of(rng, planes, 2, SHARP, False), 2, 6)
     with pytest.raises(ValueError, match="40"):
         light.evidence(planes[None], 2, terms, 2)

@@ -32,8 +32,9 @@ def light(rng: np.random.Generator) -> np.ndarray:
     n = lit_body().n_groups
     albedo = np.exp(prior.ALBEDO_SIGMA * rng.normal(size=n))
     even = max(prior.EVEN_MEAN + prior.EVEN_SIGMA * rng.normal(), 0.0)
+    tilt = prior.EVEN_TILT_SIGMA * rng.normal(size=3)
     gloss = prior.GLOSS_SHARE * np.exp(prior.GLOSS_LOG_SIGMA * rng.normal(size=n))
-    return (GAIN * np.concatenate([albedo, [even], gloss])).astype(np.float32)
+    return (GAIN * np.concatenate([albedo, [even], tilt, gloss])).astype(np.float32)
 
 
 def squared_errors(low_pass: float, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:

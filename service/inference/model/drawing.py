@@ -15,6 +15,7 @@ from service.inference.pose import multiply
 from service.inference.state import Array, Poses
 
 Images = NDArray[np.float32]
+EVEN_PLANES = 4  # exact: of a drawing: coverage and the three parts of the mean normal, for even light and its tilt
 
 
 class Shaded(Protocol):
@@ -31,7 +32,7 @@ class Shaded(Protocol):
         gloss: tuple[float, ...] = ...,
         lens: tuple[float, float, float] = ...,
     ) -> Images:
-        """(N, P, 3, 4) transforms to the patch -> (N, Q, side, side): groups, even light, gloss of groups."""
+        """(N, P, 3, 4) transforms to the patch -> (N, Q, side, side): groups, coverage, normals, gloss of groups."""
         ...
 
     def combined(
@@ -142,7 +143,7 @@ class Drawing:
         return np.ascontiguousarray(out / np.float32(view.binning))
 
     def planes(self, poses: Poses, sun: Array, view: View, quality: Quality) -> Images:
-        """(N, Q, S, S) pictures of each surface group, of the body under an even light, and of its gloss."""
+        """(N, Q, S, S) pictures of each surface group, coverage and normals (for even light), and of gloss."""
         return self.shaded.planes(
             self.transforms(poses, view),
             sun,

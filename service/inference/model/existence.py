@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import betaln
 
 from service.inference.model import prior
+from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import Fit
 from service.inference.model.scene import Scene
 from service.inference.numerics.hill import Hill
@@ -25,7 +26,7 @@ def expected(before: Array | None, dt_s: float) -> Array:
 def log_absent(hill: Hill) -> float:
     """Log evidence of the sky alone."""
     side, groups = hill.view.side, hill.drawing.n_groups
-    return float(hill.log_evidences(np.zeros((1, groups + 1, side, side), np.float32))[0])
+    return float(hill.log_evidences(np.zeros((1, groups + EVEN_PLANES, side, side), np.float32))[0])
 
 
 def scene_unlike(hill: Hill) -> Scene:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.inference.model.drawing import Drawing, Lens, Quality, View
+from service.inference.model.drawing import EVEN_PLANES, Drawing, Lens, Quality, View
 from service.inference.model.likelihood import positive_priors
 from service.inference.state import Array, Poses
 
@@ -25,10 +25,10 @@ def lit_box(
     x, y = pose.position[0]
     view = View((float(x) - reach, float(y) - reach), 2 * reach / _SIDE, _SIDE, lens)
     groups = drawing.n_groups
-    log_share, sigma = positive_priors(groups, 1 + groups * (1 + len(_QUALITY.gloss)))
+    log_share, sigma = positive_priors(groups, EVEN_PLANES + groups * (1 + len(_QUALITY.gloss)))
     if paint is not None:
         log_share = log_share + paint[0] * paint[1] / (paint[1] + sigma**-2)
-    shares = np.insert(np.exp(log_share), groups, 0.0).astype(np.float32)  # no even light
+    shares = np.insert(np.exp(log_share), [groups] * EVEN_PLANES, 0.0).astype(np.float32)  # no even light
     light = drawing.combined(pose, sun, shares, view, _QUALITY)[0].astype(np.float64)
     if light.sum() <= 0.0:
         return None

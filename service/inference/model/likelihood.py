@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model import prior
+from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.scene import Images, Scene, shift_bumps, sky_slopes
 from service.inference.model.spread import deviations, gradient, spread
 from service.inference.state import Array
@@ -30,11 +31,12 @@ class Terms:
     """A scene and the priors of its unknowns as arrays, in the order in which the likelihood holds them.
 
     Unknowns: log of each positive plane's brightness over its prior share of the gain (albedo of a group, gloss of a
-    group), log gain, even light, hidden sky, level and slopes of the sky, 12 of the point spread, 18 shifts.
+    group), log gain, even light, hidden sky, level and slopes of the sky, tilt of the even light (3), 12 of the point
+    spread, 18 shifts.
     """
 
     scene: Scene
-    offset: Images  # (Q - 1,)
+    offset: Images  # (Q - 4,)
     mean: Images  # (U,), or (N, U): of each pose its own
     precision: Images
     data: Images
@@ -65,8 +67,8 @@ class Terms:
 
 
 def positive_priors(n_groups: int, n_planes: int) -> tuple[Images, Array]:
-    """(Q - 1,) log of each positive plane's share of the gain, and the standard deviation of its log about it."""
-    counts = [n_groups, n_planes - 1 - n_groups]
+    """(Q - 4,) log of each positive plane's share of the gain, and the standard deviation of its log about it."""
+    counts = [n_groups, n_planes - EVEN_PLANES - n_groups]
     offset = np.repeat(np.array([0.0, log(prior.GLOSS_SHARE)], np.float32), counts)
     return offset, np.repeat([prior.ALBEDO_SIGMA, prior.GLOSS_LOG_SIGMA], counts)
 
@@ -78,7 +80,8 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
     sigmas = [*positive, prior.GAIN_SIGMA, scene.light.even_sigma, prior.HIDDEN_SIGMA] + [
         prior.SKY_SIGMAS * scene.sigma
     ] * 3
-    means = [0.0] * (n_planes - 1) + [scene.gain, scene.light.even_mean, prior.HIDDEN_MEAN]
+    sigmas += [prior.EVEN_TILT_SIGMA] * 3
+    means = [0.0] * (n_planes - EVEN_PLANES) + [scene.gain, scene.light.even_mean, prior.HIDDEN_MEAN]
     speckle, shifts = scene.shifts, scene.shifts and wings > 0
     if speckle:
         sigmas += [prior.HERMITE_SIGMA] * 12
@@ -113,7 +116,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
 class Fit:
     """A pose's light at its best: ``gpu.evidence.Details`` and what goes with them."""
 
-    planes: Images  # (Q, S, S) as drawn: groups, even light, gloss
+    planes: Images  # (Q, S, S) as drawn: groups, coverage, normals, gloss
     log_evidence: float
     chi2: float  # mean square of residual over its scale, on the body
     coefficients: Images  # (Q,) of the drawing's planes: what ``combined`` draws the same light with
@@ -156,13 +159,14 @@ def _weigh_stars(terms: Terms, residual: Images, variance: Images, weight: Image
 def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS) -> Fit:
     """The linear unknowns of one pose by reweighted Gauss-Newton, and their Laplace evidence.
 
-    ``planes`` (Q, S, S) as drawn: G groups, even light, gloss of the groups.
+    ``planes`` (Q, S, S) as drawn: G groups, coverage, normals (3), gloss of the groups.
     """
     scene = terms.scene
     blurred = spread(planes, scene.point_spread, scene.smoothing)
-    positive = np.delete(np.arange(len(planes)), n_groups)
+    even = slice(n_groups, n_groups + EVEN_PLANES)
+    positive = np.delete(np.arange(len(planes)), even)
     lit = np.flatnonzero(blurred[positive].max(axis=(1, 2)) > LEAST_LIT)
-    unknowns = _Unknowns(terms, blurred[positive[lit]], blurred[n_groups], lit)
+    unknowns = _Unknowns(terms, blurred[positive[lit]], blurred[even], lit)
     for _ in range(rounds):
         unknowns.step()
     fit = unknowns.result()
@@ -171,6 +175,7 @@ def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS)
     coefficients[positive] = gain * np.exp(terms.offset + terms.mean[: len(positive)])
     coefficients[positive[lit]] = gain * np.exp(terms.offset[lit] + unknowns.value[: len(lit)])
     coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
+    coefficients[n_groups + 1 : even.stop] = np.exp(terms.gain) * unknowns.value[len(lit) + 6 : len(lit) + 9]
     values = terms.mean.copy()
     values[unknowns.kept] = unknowns.value
     return replace(fit, planes=planes, coefficients=coefficients, values=values, lit=lit)
@@ -180,7 +185,7 @@ class _Unknowns:
     """The unknowns of one pose in the order of ``Terms``, positives that show no light left out."""
 
     def __init__(self, terms: Terms, positive: Images, even: Images, lit: NDArray[np.intp]) -> None:
-        self._terms, self._positive, self._even = terms, positive, even
+        self._terms, self._positive, self._even, self._normals = terms, positive, even[0], even[1:]
         first = len(terms.offset)
         self.kept = kept = np.concatenate([lit, np.arange(first, len(terms.mean))])
         self._mean = terms.mean[kept].astype(np.float64)
@@ -194,13 +199,14 @@ class _Unknowns:
         else:
             self.value = terms.start[0, kept].astype(np.float64)
 
-    def _whole(self, shares: Array, even: float) -> Images:
-        """The body's light at a gain of one."""
-        return np.asarray(np.tensordot(shares.astype(np.float32), self._positive, 1) + np.float32(even) * self._even)
+    def _whole(self, shares: Array) -> Images:
+        """The body's light at a gain of one, but for the even light's tilt."""
+        sunlit = np.tensordot(shares.astype(np.float32), self._positive, 1)
+        return np.asarray(sunlit + np.float32(self.value[self._n + 1]) * self._even)
 
     def _start_gain(self) -> None:
         """Least squares for one albedo: everything else follows from there."""
-        whole = self._whole(np.exp(self._offset + self._mean[: self._n]), self.value[self._n + 1])
+        whole = self._whole(np.exp(self._offset + self._mean[: self._n]))
         power, likeness = float(np.sum(whole * whole)), float(np.sum(whole * self._terms.data))
         if power > 0 and likeness > 0:
             self.value[self._n] = np.clip(log(likeness / power), self._terms.gain - 4, self._terms.gain + 4)
@@ -209,18 +215,21 @@ class _Unknowns:
         """Columns (M, S, S), the body's light, and the model."""
         terms, n, value = self._terms, self._n, self.value
         gain, shares = float(np.exp(value[n])), np.exp(value[:n] + self._offset)
-        light = np.float32(gain) * self._whole(shares, value[n + 1])
+        grows = np.float32(gain) * self._whole(shares)
+        normals = np.float32(np.exp(terms.gain)) * self._normals
+        light = grows + np.tensordot(value[n + 6 : n + 9].astype(np.float32), normals, 1)
         scaled = (gain * shares).astype(np.float32)[:, None, None] * self._positive
-        even = self._even[None]
-        more = [terms.slopes]
+        more = []
         if terms.speckle:
             more.append(deviations(light, terms.width))
         if terms.shifts:
             more += [terms.bumps * slope for slope in gradient(light)]
-        rest = np.concatenate(more)
         model = light - np.float32(terms.hidden * value[n + 2]) * self._even
-        model = model + np.tensordot(value[n + 3 :].astype(np.float32), rest, 1)
-        columns = [scaled, light[None], np.float32(gain) * even, -np.float32(terms.hidden) * even, rest]
+        model = model + np.tensordot(value[n + 3 : n + 6].astype(np.float32), terms.slopes, 1)
+        if more:
+            model = model + np.tensordot(value[n + 9 :].astype(np.float32), np.concatenate(more), 1)
+        body = np.float32(gain) * self._even[None], -np.float32(terms.hidden) * self._even[None]
+        columns = [scaled, grows[None], *body, terms.slopes, normals, *more]
         return np.concatenate(columns), light, np.asarray(model, np.float32)
 
     def _look(self) -> tuple[Images, Images, Images, Images, Images, Images]:
@@ -259,13 +268,15 @@ class _Unknowns:
         Even light is no less than nothing, and no more of the sky is hidden than there is. A sky that a body brightens
         would be light without a discrepancy.
         """
-        there = self.value + np.linalg.solve(normal, pull)
         normal, pull = normal.copy(), pull.copy()
-        for k, most in zip((self._n + 1, self._n + 2), _MOST, strict=True):
-            end = np.clip(there[k], 0.0, most)
-            if end != there[k]:
+        free = {self._n + 1: _MOST[0], self._n + 2: _MOST[1]}
+        for _ in _MOST:  # where one is held, the other may want to leave
+            there = self.value + np.linalg.solve(normal, pull)
+            ends = {k: np.clip(there[k], 0.0, most) for k, most in free.items()}
+            for k in [k for k, end in ends.items() if end != there[k]]:
                 normal[k, k] *= _FIRM
-                pull[k] = normal[k, k] * (end - self.value[k])
+                pull[k] = normal[k, k] * (ends[k] - self.value[k])
+                del free[k]
         return normal, pull
 
     def result(self) -> Fit:

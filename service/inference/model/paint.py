@@ -11,13 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from service.inference.model import prior
+from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import Fit, Terms
 from service.inference.state import Array
 
 
 def unlearnt(n_planes: int) -> Array:
-    """(2, P) of a body of which nothing is known, its drawings of Q = P + 1 planes."""
-    return np.zeros((2, n_planes - 1))
+    """(2, P) of a body of which nothing is known, its drawings of Q = P + 4 planes."""
+    return np.zeros((2, n_planes - EVEN_PLANES))
 
 
 def expected(paint: Array) -> Array:

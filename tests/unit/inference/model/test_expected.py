@@ -17,7 +17,7 @@ from service.inference.pose import retract
 
 
 def test_the_box_holds_the_light_and_little_more():
-    image = seen(pose(), shares(lit_body(), 900.0, even=0.0), core=0.4)
+    image = seen(pose(), shares(lit_body(), 900.0, even=(0.0,) * 4), core=0.4)
     box = lit_box(lit_body(), pose(), SUN[None])
     assert box is not None
     rows, columns = np.nonzero(image > 0.02 * image.max())
@@ -29,7 +29,7 @@ def test_a_surface_that_is_known_to_be_dark_is_no_part_of_it():
     whole = lit_box(lit_body(), pose(), SUN[None])
     sizes = []
     for group in range(lit_body().n_groups):
-        paint = unlearnt(1 + 2 * lit_body().n_groups)
+        paint = unlearnt(4 + 2 * lit_body().n_groups)
         paint[:, [group, lit_body().n_groups + group]] = np.array([[-8.0], [1e6]])
         box = lit_box(lit_body(), pose(), SUN[None], paint)
         assert whole is not None and box is not None

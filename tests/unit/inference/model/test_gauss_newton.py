@@ -49,17 +49,19 @@ def profile(on: Hill, at: Poses, sun: np.ndarray, coefficients: np.ndarray, fit)
     n = on.drawing.n_groups
     weight, precision = np.sqrt(fit.weight.astype(float)), np.sqrt(fit.precision)
     gain = coefficients[0] / np.exp(fit.deviation[0])
-    free = np.delete(np.arange(n + 6), n + 2)  # the sky hides nothing here
+    free = np.delete(np.arange(n + 9), n + 2)  # the sky hides nothing here
 
     def rest(x: np.ndarray) -> np.ndarray:
         bright = np.exp(x[n])
-        here = np.append(coefficients[:n] * np.exp(x[:n]), coefficients[n] + gain * x[n + 1]) * bright
-        image = np.tensordot(here, blurred, 1) + np.tensordot(fit.deviation[-3:] + x[-3:], sky_slopes(on.scene.side), 1)
+        grows = np.append(coefficients[:n] * np.exp(x[:n]), coefficients[n] + gain * x[n + 1]) * bright
+        here = np.append(grows, coefficients[n + 1 :] + np.exp(on.scene.gain) * x[-3:])
+        level = fit.deviation[-6:-3] + x[-6:-3]
+        image = np.tensordot(here, blurred, 1) + np.tensordot(level, sky_slopes(on.scene.side), 1)
         prior = precision * fit.deviation
         prior[free] += precision[free] * x
         return np.concatenate([(weight * (on.scene.data - image)).ravel(), prior])
 
-    found = least_squares(rest, np.zeros(n + 5), method="lm", x_scale=1 / precision[free])
+    found = least_squares(rest, np.zeros(n + 8), method="lm", x_scale=1 / precision[free])
     apart = np.linalg.norm(sun - on.told.towards_sun) / on.told.sun_sigma
     return -found.cost - 0.5 * apart**2
 

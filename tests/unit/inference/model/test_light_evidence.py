@@ -18,33 +18,36 @@ from service.inference.model.spread import PointSpread
 from service.inference.pose import retract
 
 SIZE, SIGMA, CORE, LOW_PASS = 32, 5.0, 1.4, 1.0
-MEANS = np.array([0.0, 0.0, np.log(300.0), 0.05, 0.3, 0.0, 0.0, 0.0])  # two albedos, gain, even, hidden, sky
-DEVIATIONS = np.array([0.3, 0.3, 0.5, 0.05, 0.4, 4.0, 4.0, 4.0])
-HIDDEN = 6.0
+# two albedos, gain, even light, hidden, sky (3), tilt (3)
+MEANS = np.array([0.0, 0.0, np.log(300.0), 0.15, 0.3, *np.zeros(6)])
+DEVIATIONS = np.array([0.3, 0.3, 0.5, 0.05, 0.4, 4.0, 4.0, 4.0, 0.02, 0.02, 0.02])
+HIDDEN, TILTED = 6.0, 350.0  # counts
 
 
 def planes() -> np.ndarray:
-    """(3, S, S): two groups beside each other, and both under an even light."""
-    out = np.zeros((3, SIZE, SIZE), np.float32)
+    """(6, S, S): two groups beside each other, both under an even light, and their normals."""
+    out = np.zeros((6, SIZE, SIZE), np.float32)
     out[0, 8:20, 6:16] = np.linspace(0.5, 1.0, 10)
     out[1, 12:25, 16:27] = 0.6
     out[2, 8:25, 6:27] = 1.0
+    out[3, 8:25, 6:27], out[4, 8:25, 6:27] = np.linspace(-0.8, 0.4, 21), np.linspace(-0.3, 0.5, 17)[:, None]
+    out[5] = -np.sqrt(1 - out[3] ** 2 - out[4] ** 2) * out[2]
     return out
 
 
 @functools.cache
 def blurred(sigma: float) -> np.ndarray:
-    """(3, S, S)"""
+    """(6, S, S)"""
     return np.stack([gaussian_filter(p.astype(float), sigma, mode="constant", truncate=6.0) for p in planes()])
 
 
 def model(x: np.ndarray) -> np.ndarray:
-    """(N, 8) unknowns -> (N, S, S) what the frame looks like after its low pass, in double precision."""
+    """(N, 11) unknowns -> (N, S, S) what the frame looks like after its low pass, in double precision."""
     slope = np.linspace(-1, 1, SIZE)
     sky = np.stack([np.ones((SIZE, SIZE)), np.tile(slope, (SIZE, 1)), np.tile(slope[:, None], (1, SIZE))])
     gain = np.exp(x[:, 2:3])
-    weights = np.hstack([gain * np.exp(x[:, :2]), gain * x[:, 3:4] - HIDDEN * x[:, 4:5]])
-    return np.tensordot(weights, blurred(np.hypot(CORE, LOW_PASS)), 1) + np.tensordot(x[:, 5:], sky, 1)
+    weights = np.hstack([gain * np.exp(x[:, :2]), gain * x[:, 3:4] - HIDDEN * x[:, 4:5], TILTED * x[:, 8:]])
+    return np.tensordot(weights, blurred(np.hypot(CORE, LOW_PASS)), 1) + np.tensordot(x[:, 5:8], sky, 1)
 
 
 def log_joint(x: np.ndarray, data: np.ndarray, area: float) -> np.ndarray:
@@ -73,27 +76,29 @@ def told(noise: float, off: float = 0.7, shares: tuple[float, float] | None = No
     ``off``: how far from their means the unknowns are, in their deviations; ``shares``: even light and hidden sky.
     """
     rng = np.random.default_rng(4)
-    truth = MEANS + off * DEVIATIONS * np.array([1, -1, 0.5, 0.4, 1, -1, 0.5, 1])
+    truth = MEANS + off * DEVIATIONS * np.array([1, -1, 0.5, 0.4, 1, -1, 0.5, 1, 1, -1, 0.5])
     truth[3:5] = truth[3:5] if shares is None else shares
     gain = np.exp(truth[2])
-    image = np.tensordot([*gain * np.exp(truth[:2]), gain * truth[3] - HIDDEN * truth[4]], blurred(CORE), 1) + truth[5]
+    weights = [*gain * np.exp(truth[:2]), gain * truth[3] - HIDDEN * truth[4], *TILTED * truth[8:]]
+    image = np.tensordot(weights, blurred(CORE), 1) + truth[5]
     image = image + noise * SIGMA * rng.normal(size=image.shape)
     none = np.zeros(image.shape, bool)
     given = Scene(image.astype(np.float32), SIGMA, 0.0, HIDDEN, none, PointSpread(CORE), 0.0, False, LOW_PASS)
-    terms = terms_of(given, 2, 3)
+    terms = terms_of(given, 2, 6)
     terms = replace(terms, mean=MEANS.astype(np.float32), precision=(DEVIATIONS**-2).astype(np.float32))
+    terms = replace(terms, gain=float(np.log(TILTED)))
     return terms, gaussian_filter(image, LOW_PASS, mode="constant", truncate=6.0), 4 * np.pi * LOW_PASS**2
 
 
 def laplace(data: np.ndarray, area: float) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence, where the maximum is, and the precision there."""
-    step = 1e-4 * np.eye(8)
+    step = 1e-4 * np.eye(11)
 
     def cost(z: np.ndarray) -> np.ndarray:
         return -log_joint(MEANS + DEVIATIONS * np.atleast_2d(z), data, area)
 
     found = minimize(
-        lambda z: cost(z)[0], np.zeros(8), jac=lambda z: (cost(z + step) - cost(z - step)) / 2e-4, tol=1e-6
+        lambda z: cost(z)[0], np.zeros(11), jac=lambda z: (cost(z + step) - cost(z - step)) / 2e-4, tol=1e-6
     )
     best = MEANS + DEVIATIONS * found.x
     curvature = -hessian(lambda x: log_joint(x, data, area), best, 1e-3 * DEVIATIONS)
@@ -114,8 +119,9 @@ def test_without_noise_the_evidence_is_laplaces_and_the_light_the_most_probable(
     for name, found in light_evidence(terms).items():
         assert found == pytest.approx(wanted, abs=0.05), name
     fit = fit_light(planes(), 2, terms, 12)
-    assert fit.deviation + MEANS == pytest.approx(best, abs=0.05 * np.sqrt(np.diag(np.linalg.inv(curvature))).min())
-    drawn = [*np.exp(best[2] + best[:2]), np.exp(best[2]) * best[3] - HIDDEN * best[4]]
+    assert fit.deviation + MEANS == pytest.approx(best, abs=0.1 * np.sqrt(np.diag(np.linalg.inv(curvature))).min())
+    gain = np.exp(best[2])
+    drawn = [*gain * np.exp(best[:2]), gain * best[3] - HIDDEN * best[4], *TILTED * best[8:]]
     assert fit.coefficients == pytest.approx(np.array(drawn), rel=0.01, abs=0.05)
 
 
@@ -127,7 +133,7 @@ def test_the_evidence_is_the_integral_over_all_unknowns(noise):
     proposal = multivariate_t(best, np.linalg.inv(curvature), df=8, seed=1)
     x = proposal.rvs(4000)
     log_weights = log_joint(x, data, area) - proposal.logpdf(x)
-    prior_height = -np.sum(np.log(DEVIATIONS)) - 4 * np.log(2 * np.pi)
+    prior_height = -np.sum(np.log(DEVIATIONS)) - 5.5 * np.log(2 * np.pi)
     wanted = prior_height + log_weights.max() + np.log(np.mean(np.exp(log_weights - log_weights.max())))
     for name, found in light_evidence(terms).items():
         assert wanted - 0.15 * len(MEANS) * noise - 0.1 < found < wanted + 0.1, name
@@ -138,12 +144,12 @@ def test_no_body_brightens_the_sky_and_none_hides_more_than_there_is(shares, mon
     """Wherever the frame pulls them, shares stay in their range, all else at its best there."""
     monkeypatch.setitem(globals(), "HIDDEN", 60.0)
     terms, data, area = told(noise=0.0, off=0.1, shares=shares)
-    ranges = [(None, None)] * 8
+    ranges = [(None, None)] * 11
     ranges[3], ranges[4] = (
         (-MEANS[3] / DEVIATIONS[3], None),
         (-MEANS[4] / DEVIATIONS[4], (1 - MEANS[4]) / DEVIATIONS[4]),
     )
-    step = 1e-4 * np.eye(8)
+    step = 1e-4 * np.eye(11)
 
     def cost(z: np.ndarray) -> np.ndarray:
         return -log_joint(MEANS + DEVIATIONS * np.atleast_2d(z), data, area)
@@ -151,9 +157,9 @@ def test_no_body_brightens_the_sky_and_none_hides_more_than_there_is(shares, mon
     def slope(z: np.ndarray) -> np.ndarray:
         return (cost(z + step) - cost(z - step)) / 2e-4
 
-    found = minimize(lambda z: cost(z)[0], np.zeros(8), jac=slope, bounds=ranges, tol=1e-9)
-    device, (details,) = lit_body().light.details(planes()[None], 2, terms, 20)
-    fit = fit_light(planes(), 2, terms, 20)
+    found = minimize(lambda z: cost(z)[0], np.zeros(11), jac=slope, bounds=ranges, tol=1e-9)
+    device, (details,) = lit_body().light.details(planes()[None], 2, terms, 60)
+    fit = fit_light(planes(), 2, terms, 60)
     for values in (fit.values, device.values[0]):
         assert -log_joint(values[None].astype(float), data, area)[0] < found.fun + 0.05
         assert values[3] >= 0.0 and 0.0 <= values[4] <= 1.0
@@ -217,7 +223,7 @@ def test_one_low_pass_for_all_point_spreads_compares_the_same_data():
 def test_the_pose_does_not_choose_what_it_is_compared_with():
     """Neither data nor area nor prior follow the drawn planes."""
     given = scene(seen(pose(), shares(lit_body(), 900.0)), 4.0)
-    one, other = terms_of(given, 3, 7), terms_of(given, 3, 7)
+    one, other = terms_of(given, 3, 10), terms_of(given, 3, 10)
     assert one.data is other.data
     assert (one.area, one.noise, one.wrong) == (other.area, other.noise, other.wrong)
 
@@ -242,9 +248,9 @@ def test_speckle_and_shifts_are_unknowns_only_where_there_is_air(wings):
     )
     given = scene(image, 4.0, wings=wings, shifts=True, discrepancy=0.04)
     drawn = lit_body().planes(pose(), SUN, VIEW, QUALITY)
-    terms = terms_of(given, 3, 7)
+    terms = terms_of(given, 3, 10)
     fit = fit_light(drawn[0], 3, terms)
-    assert len(terms.mean) == 6 + 6 + 12 + (18 if wings else 0)
+    assert len(terms.mean) == 6 + 9 + 12 + (18 if wings else 0)
     device = lit_body().light.evidence(drawn, 3, terms, 6)
     assert device.log_evidence[0] == pytest.approx(fit.log_evidence, abs=0.05)
     assert np.abs(fit.deviation * np.sqrt(fit.precision))[-12:].max() < 3.0
