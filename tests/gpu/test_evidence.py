@@ -87,7 +87,7 @@ def scene_of(
 def agrees(answers, k: int, wanted: Fit) -> None:
     tolerance = NATS + RELATIVE * abs(wanted.log_evidence) * 0.2  # the kernel cuts wings off at 3.5 sigma
     assert answers.log_evidence[k] == pytest.approx(wanted.log_evidence, abs=tolerance)
-    assert answers.chi2[k] == pytest.approx(wanted.chi2, rel=2e-2, abs=1e-3)  # a pixel is on the body or not
+    assert answers.chi2[k] == pytest.approx(wanted.chi2, rel=5e-2, abs=1e-3)  # a pixel is on the body or not
     scale = np.abs(wanted.coefficients).max()
     np.testing.assert_allclose(answers.coefficients[k], wanted.coefficients, rtol=3e-3, atol=3e-3 * scale)
 

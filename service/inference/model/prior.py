@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 ALBEDO_SIGMA = 0.9  # of log albedo about the frame's gain
 EVEN_MEAN, EVEN_SIGMA = 0.04, 0.04  # even light, share of the gain
-EVEN_TILT_SIGMA = (
-    0.03  # of the even light, share of the frame's brighter light by each part of the normal: half of the Earth's
-)
-# 2 to 12 % of a white surface's, of which what is seen best has a half
+EVEN_TILT_SIGMA = 0.02  # by each part of the normal, share of the frame's brighter light: half of the Earth's 2 to 12 %
+# goes with the normal, and the brighter light is of paint brighter than most
 GLOSS_SHARE, GLOSS_LOG_SIGMA = 0.15, 1.3  # of a group's gloss, share of the gain
 GLOSS_LOBES = (20.0,)  # exponent of (n . h): brushed metal
 HIDDEN_MEAN, HIDDEN_SIGMA = 0.3, 0.4  # share of the sky's light that the body hides

@@ -141,9 +141,10 @@ def test_joints_wrap_where_they_turn_all_the_way_and_stop_where_not():
 
 
 def test_a_sun_told_wrong_goes_towards_the_truth_as_far_as_its_prior_allows():
-    """Told 5 degrees beside: the tighter the prior, the nearer to what was told."""
+    """Told 3 degrees beside: the tighter the prior, the nearer to what was told. 5 degrees pass for a light from one
+    side on a body of three surfaces."""
     axis = across(SUN)[0]
-    told = np.cos(np.deg2rad(5)) * SUN + np.sin(np.deg2rad(5)) * axis
+    told = np.cos(np.deg2rad(3)) * SUN + np.sin(np.deg2rad(3)) * axis
     given, left, gone = frame(), [], []
     for sun_deg in (0.02, 0.5, 5.0):
         found = climbed(hill(given, told, sun_deg), pose(), told, steps=20)

@@ -241,6 +241,19 @@ def test_a_plane_without_light_is_left_out_and_keeps_its_prior_brightness():
     assert device.coefficients[0] == pytest.approx(fit.coefficients, rel=1e-3, abs=1e-2)
 
 
+def test_even_light_from_one_side_is_found_and_a_frame_without_it_has_none():
+    """As the Earth's: without it the body's dark side would be another body's."""
+    drawn = lit_body().planes(pose(), SUN, VIEW, QUALITY)
+    for tilt in ((0.02, -0.03, 0.0), (0.0, 0.0, 0.0)):
+        even = (0.06, *tilt)
+        image = seen(pose(), shares(lit_body(), 900.0, even=even)) + np.random.default_rng(1).normal(0, 4, (64, 64))
+        terms = terms_of(scene(image, 4.0), 3, 10)
+        fit = fit_light(drawn[0], 3, terms)
+        assert fit.coefficients[4:6] / 900.0 == pytest.approx(tilt[:2], abs=0.008)
+        none = replace(terms, precision=np.where(np.arange(len(terms.mean)) // 3 == 4, 1e12, terms.precision))
+        assert (fit.log_evidence - fit_light(drawn[0], 3, none).log_evidence > 5.0) == any(tilt)
+
+
 @pytest.mark.parametrize("wings", [0.0, 1.2])
 def test_speckle_and_shifts_are_unknowns_only_where_there_is_air(wings):
     image = seen(pose(), shares(lit_body(), 900.0), wings=wings) + np.random.default_rng(3).normal(
