@@ -15,7 +15,6 @@ import pyopencl as cl
 
 from gpu.errors import DeviceError
 
-LIGHT_KINDS = ("cpu",)  # a pose is one work-item's: a few strong cores are faster than a GPU (docs/scorers.md)
 PROBE = "__kernel void probe(__global int *out) { out[get_global_id(0)] = (int)get_global_id(0) * 3 + 1; }"
 
 
@@ -54,14 +53,12 @@ def no_device_reason() -> str:
     return rejected or f"there is only {', '.join(r.name for r in found)}"
 
 
-def first_device(*kinds: str, reports: Iterable[DeviceReport] | None = None) -> DeviceReport:
-    """The first usable device of the first kind (``cpu``, ``gpu``) that has one. Raises ``DeviceError`` else."""
-    found = tuple(find_devices() if reports is None else reports)
-    for kind in kinds:
-        for report in found:
-            if report.rejected is None and report.kind == kind:
-                return report
-    raise DeviceError(f"no {' or '.join(kinds).upper()} is an OpenCL device: {no_device_reason()}")
+def first_device(kind: str, reports: Iterable[DeviceReport] | None = None) -> DeviceReport:
+    """The first usable device of a kind (``cpu``, ``gpu``). Raises ``DeviceError`` where OpenCL has none."""
+    for report in find_devices() if reports is None else reports:
+        if report.rejected is None and report.kind == kind:
+            return report
+    raise DeviceError(f"no {kind.upper()} is an OpenCL device: {no_device_reason()}")
 
 
 def open_device(report: DeviceReport) -> cl.Device:

@@ -13,15 +13,16 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.device import LIGHT_KINDS, DeviceReport, first_device, open_device
+from gpu.device import DeviceReport, first_device, open_device
 from gpu.evidence_terms import LANES, Terms, inputs_of
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, work_items, zero
+from gpu.shaded_reference import EVEN_PLANES
 
 Numbers = NDArray[np.float32]
 Window = tuple[slice, slice]  # rows and columns of a patch
 FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
 EIGHT, NEAR, ODD = 8, 704, 5  # as the kernel has them
-EVEN_PLANES, HERMITE, BUMPS = 4, 12, 9
+HERMITE, BUMPS = 12, 9
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class LightEvidence:
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
             self._memory = Scratch(self._context)
-            self._kernel = cl.Kernel(build(self._context, *FILES), "evidence")
+            self._kernel = cl.Kernel(build(self._context, *FILES, options=[f"-DEVEN_PLANES={EVEN_PLANES}"]), "evidence")
 
     def evidence(
         self,
@@ -151,9 +152,9 @@ class LightEvidence:
         return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn, ended)
 
 
-def open_evidence(kinds: Sequence[str] = LIGHT_KINDS) -> LightEvidence:
-    """On the first usable device of these kinds. Raises ``DeviceError`` where OpenCL has none."""
-    return LightEvidence(first_device(*kinds))
+def open_evidence(kind: str = "cpu") -> LightEvidence:
+    """On the first usable device of this kind. Raises ``DeviceError`` where OpenCL has none."""
+    return LightEvidence(first_device(kind))
 
 
 def _details(row: Numbers, unknowns: int, always: int, side: int) -> Details:

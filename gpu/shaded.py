@@ -8,7 +8,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from gpu.device import LIGHT_KINDS, DeviceReport, first_device, open_device
+from gpu.device import DeviceReport, first_device, open_device
 from gpu.lens import NEAREST, NO_LENS, Lens, magnified
 from gpu.mesh import Mesh
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, work_items, zero
@@ -40,7 +40,12 @@ class ShadedBody:
             self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
             self._context = self._queue.context
             self._memory = Scratch(self._context)
-            options = [f"-DBIAS={BIAS_TEXELS}f", f"-DSTEEPEST={STEEPEST}f", f"-DNEAREST={NEAREST}f"]
+            options = [
+                f"-DBIAS={BIAS_TEXELS}f",
+                f"-DSTEEPEST={STEEPEST}f",
+                f"-DNEAREST={NEAREST}f",
+                f"-DEVEN_PLANES={EVEN_PLANES}",
+            ]
             program = build(self._context, *FILES, options=options)
             kernels = (cl.Kernel(program, name) for name in ("planes", "combined", "mark_seen"))
             self._planes, self._combined, self._mark_seen = kernels
@@ -219,17 +224,17 @@ def open_shaded(
     groups: NDArray[np.integer],
     *,
     reports: Sequence[DeviceReport] | None = None,
-    kinds: Sequence[str] = LIGHT_KINDS,
+    kind: str = "cpu",
     drop_hidden: bool = True,
 ) -> ShadedBody:
-    """On the first usable device of these kinds. ``groups`` (F,): see ``gpu.surface_groups``.
+    """On the first usable device of this kind. ``groups`` (F,): see ``gpu.surface_groups``.
 
     With ``drop_hidden``, faces that cannot be seen from outside their part are left out, once for all.
     Raises ``DeviceError`` where OpenCL has none.
     """
     if len(groups) != mesh.n_faces:
         raise ValueError(f"{len(groups)} groups are given for {mesh.n_faces} faces")
-    return ShadedBody(mesh, groups, first_device(*kinds, reports=reports), drop_hidden)
+    return ShadedBody(mesh, groups, first_device(kind, reports), drop_hidden)
 
 
 def _lanes(count: int) -> int:

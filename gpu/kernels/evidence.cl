@@ -16,8 +16,7 @@
 #define SKY 0
 #define RESIDUAL 3
 #define EVEN 4
-#define TILT 5  // (3) normals: even light comes more from one side than from the other
-#define EVEN_PLANES 4
+#define TILT 5  // (3) normals: even light comes more from one side than from the other (EVEN_PLANES: with EVEN)
 #define SPECKLE 8
 #define FAINT 1e-4f  // of the noise: where no pixel of a tile may show more of a picture, it is left out there
 #define ODD 5  // lanes between pictures: at whole pages apart they would push each other out of the nearest cache

@@ -2,9 +2,8 @@
 //
 // Built with BIAS, the texels by which a face may lie deeper than the Sun's view says and be lit, and STEEPEST, beyond
 // which a face is taken to be no steeper there; and NEAREST, the share of the distance to the body's centre within
-// which nothing is drawn as if it were nearer.
+// which nothing is drawn as if it were nearer; and EVEN_PLANES: coverage, and the mean normal's three parts.
 
-#define EVEN_PLANES 4        // coverage, and the mean normal's three parts
 #define BORDER 1.0f          // texels around the body in the Sun's view
 #define DIMMEST -23.0f       // log2 of a lobe of gloss below which it is dark: tiny numbers are slow to reckon with
 

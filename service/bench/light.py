@@ -14,7 +14,6 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from gpu.coarse_mesh import coarse_mesh
-from gpu.device import LIGHT_KINDS
 from gpu.evidence import open_evidence
 from gpu.evidence_terms import LANES
 from gpu.mesh import Mesh
@@ -48,7 +47,7 @@ class LightPlan:
     compared: int = 6  # poses of which the twin is asked
     seed: int = 0
     coarse: bool = True  # draw the mesh for this size, not the file's
-    kinds: tuple[str, ...] = LIGHT_KINDS  # of devices, the first that there is
+    kind: str = "cpu"  # of the device
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class LightRow:
 
 
 def bench_light(bodies: Mapping[str, Mesh], plan: LightPlan, say: Callable[[str], None]) -> list[LightRow]:
-    """Rows of all bodies. Raises ``DeviceError`` where there is no device of these kinds."""
+    """Rows of all bodies. Raises ``DeviceError`` where there is no device of this kind."""
     rows = []
     for name, mesh in bodies.items():
         say(f"{name}: {mesh.n_faces} faces")
@@ -103,7 +102,7 @@ def views(mesh: Mesh, count: int, side: int, rng: np.random.Generator) -> NDArra
 def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
     side, supersample, shadow_px = plan.side, plan.supersample, plan.shadow_px
     drawn, groups = _prepared(mesh, side, plan)
-    body, rng = open_shaded(drawn, groups, kinds=plan.kinds), _rng(plan)
+    body, rng = open_shaded(drawn, groups, kind=plan.kind), _rng(plan)
     given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
     shares = np.concatenate([np.linspace(0.5, 1.0, body.n_groups), [0.04, 0.0, 0.0, 0.0]])
     few = max(1, plan.poses // 8)
@@ -132,7 +131,7 @@ def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
 def _template_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
     side, texels = plan.template_side, plan.template_shadow_px
     drawn, groups = _prepared(mesh, side, plan)
-    body, rng = open_shaded(drawn, groups, kinds=plan.kinds), _rng(plan)
+    body, rng = open_shaded(drawn, groups, kind=plan.kind), _rng(plan)
     given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
 
     def pictures() -> object:
@@ -147,7 +146,7 @@ def _evidence_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
     """Evidence of drawn poses in a frame of the first one, every unknown of a sharp one among them."""
     side = -(-plan.side // LANES) * LANES
     drawn, groups = _prepared(mesh, side, plan)
-    body, light, rng = open_shaded(drawn, groups, kinds=plan.kinds), open_evidence(plan.kinds), _rng(plan)
+    body, light, rng = open_shaded(drawn, groups, kind=plan.kind), open_evidence(plan.kind), _rng(plan)
     few = max(1, plan.poses // 8)
     given, suns = views(drawn, few, side, rng), _suns(few, rng)
     planes = body.planes(

@@ -26,9 +26,7 @@ def light(
     supersample: Annotated[int, typer.Option(min=1, max=8, help="Samples along one axis of a pixel.")] = 3,
     shadow: Annotated[int, typer.Option(min=0, max=4096, help="Texels of cast shadows across the body.")] = 256,
     whole: Annotated[bool, typer.Option("--whole", help="All faces of the file, not the mesh for this size.")] = False,
-    device: Annotated[
-        Device | None, typer.Option(help="Kind of OpenCL device. Default: cpu where there is one.")
-    ] = None,
+    device: Annotated[Device, typer.Option(help="Kind of OpenCL device.")] = Device.CPU,
     seed: Annotated[int, typer.Option(min=0, help="Of the poses.")] = 0,
 ) -> None:
     """Time per pose of planes, sums of planes, templates and evidence, and agreement with the twin in NumPy."""
@@ -41,7 +39,7 @@ def light(
 
     with told(None):
         plan = LightPlan(side=side, supersample=supersample, shadow_px=shadow, seed=seed, coarse=not whole)
-        plan = replace(plan, kinds=(device.value,)) if device else plan
+        plan = replace(plan, kind=device.value)
         plan = replace(plan, poses=40, repeats=1, compared=2) if quick else plan
         bodies = {Path(name).stem: read_model_file(name).mesh for name in mesh or ["demo"]}
         rows = bench_light(bodies, plan, lambda line: typer.echo(line, err=True))

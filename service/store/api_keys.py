@@ -23,19 +23,11 @@ def add(connection: Connection, record: KeyRecord, quota: int = 0) -> None:
     connection.execute(insert(api_keys).values(sealed(api_keys, row_of(api_keys, record))))
 
 
-def find(connection: Connection, key_id: str) -> KeyRecord | None:
-    """The key of any tenant, or None: the one query that cannot know the tenant, as its answer says it.
-
-    Raises ``DamagedError``.
-    """
-    found = find_all(connection, [key_id]).get(key_id)
-    if isinstance(found, DamagedError):
-        raise found
-    return found
-
-
 def find_all(connection: Connection, key_ids: Sequence[str]) -> dict[str, KeyRecord | DamagedError]:
-    """Those of many keys that there are, by id; why not where one is not as it was stored."""
+    """Those that there are, of any tenant, by id; why not where one is not as it was stored.
+
+    The one query that cannot know the tenant, as its answer says it.
+    """
     found: dict[str, KeyRecord | DamagedError] = {}
     for row in connection.execute(select(api_keys).where(api_keys.c.id.in_(key_ids))):
         try:

@@ -28,7 +28,7 @@ BODIES = {
 
 @pytest.fixture(params=KINDS)
 def open_body(request) -> Callable[..., ShadedBody]:
-    return partial(open_shaded, kinds=(request.param,))
+    return partial(open_shaded, kind=request.param)
 
 
 def suns(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -265,4 +265,4 @@ def test_wrong_questions_are_refused(open_body):
     with pytest.raises(ValueError, match="groups"):
         open_body(PANEL, np.zeros(3, np.int32))
     with pytest.raises(DeviceError, match="GPU"):
-        open_shaded(PANEL, surface_groups(PANEL), reports=(), kinds=("gpu",))
+        open_shaded(PANEL, surface_groups(PANEL), reports=(), kind="gpu")

@@ -269,14 +269,12 @@ class _Unknowns:
         would be light without a discrepancy.
         """
         normal, pull = normal.copy(), pull.copy()
-        free = {self._n + 1: _MOST[0], self._n + 2: _MOST[1]}
+        free = dict(zip((self._n + 1, self._n + 2), _MOST, strict=True))
         for _ in _MOST:  # where one is held, the other may want to leave
             there = self.value + np.linalg.solve(normal, pull)
-            ends = {k: np.clip(there[k], 0.0, most) for k, most in free.items()}
-            for k in [k for k, end in ends.items() if end != there[k]]:
+            for k in [k for k, most in free.items() if not 0.0 <= there[k] <= most]:
                 normal[k, k] *= _FIRM
-                pull[k] = normal[k, k] * (ends[k] - self.value[k])
-                del free[k]
+                pull[k] = normal[k, k] * (np.clip(there[k], 0.0, free.pop(k)) - self.value[k])
         return normal, pull
 
     def result(self) -> Fit:

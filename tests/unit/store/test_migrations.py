@@ -78,6 +78,6 @@ async def test_a_second_user_may_stand_beside_a_service_of_this_release(tmp_path
     await service.open()
     await beside.open(beside=True)
     await beside.write(api_keys.add, KeyRecord("k", "h", "acme", "read", "n", "t"))
-    assert (await service.read(api_keys.find, "k")).tenant == "acme"
+    assert (await service.read(api_keys.find_all, ["k"]))["k"].tenant == "acme"
     await beside.close()
     await service.close()
