@@ -9,7 +9,7 @@
 #define LEAST_LIT 1e-4f
 #define LONGEST_STEP 1.5
 #define FIRM 1e8  // times the curvature of an unknown that is to go nowhere else
-#define STILL 1e-3  // nats that a step gains at the most when it is the last
+#define STILL 1e-2  // nats: a step that promises less is not worth another look, and is not taken
 
 // Slots of pictures. Many unknowns are one picture times a number: even light and hidden sky share theirs, that of the
 // gain is the sum of what it brightens. Residuals stand among them because a pull is a product with the residual.
@@ -273,15 +273,16 @@ static bool held_step(const Scene s, const Room r, const int lit, const int coun
     return true;
 }
 
-// One step of all unknowns. How much its linear model promises, nats. False: not positive.
+// One step of all unknowns, if its linear model promises as much as STILL (nats). False: not positive.
 static bool step(const Scene s, const Room r, const int lit, const int count, const int row, double *promised)
 {
     for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
     bool firm[2];
     if (!held_step(s, r, lit, count, row, firm)) return false;
     *promised = 0.0;
+    for (int k = 0; k < count; ++k) *promised += 0.5 * r.pull[k] * r.move[k];
+    if (fabs(*promised) < STILL) return true;
     for (int k = 0; k < count; ++k) {
-        *promised += 0.5 * r.pull[k] * r.move[k];
         r.value[k] += k <= lit ? clamp(r.move[k], -LONGEST_STEP, LONGEST_STEP) : r.move[k];
     }
     r.value[lit + 1] = max(r.value[lit + 1], 0.0);
@@ -544,10 +545,10 @@ __kernel void evidence(
             draw_normal(s, r, lit, count);
             double promised = 0.0;
             sound = step(s, r, lit, count, row, &promised);
-            still = promised < STILL;
-            gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
+            still = fabs(promised) < STILL;
+            if (!still) gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         }
-        products(r.products, s.first + lit, body, r.total);
+        if (!still) products(r.products, s.first + lit, body, r.total);
         draw_normal(s, r, lit, count);
         if (details) tell_normal(s, r, count, row, details + pose * told_size(s));
         sound = factorise(r.normal, count, row);

@@ -8,6 +8,7 @@ array's dtype and shape and holds the tree of fields. No pickle: a checkpoint co
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import struct
 import types
@@ -131,8 +132,14 @@ def _unpack(node: Any, hint: Any, arrays: list[NDArray[Any]]) -> Any:
         return {key: _unpack(item, inner, arrays) for key, item in body.items()}
     if isinstance(hint, types.UnionType):  # what may be None, and is not
         (hint,) = (kind for kind in typing.get_args(hint) if kind is not types.NoneType)
-    hints = typing.get_type_hints(hint)
+    hints = _hints_of(hint)
     unknown = set(body) - {f.name for f in dataclasses.fields(hint)}
     if tag != "fields" or unknown:
         raise ValueError(f"unknown: {', '.join(sorted(unknown)) or tag}")
     return hint(**{name: _unpack(item, hints[name], arrays) for name, item in body.items()})
+
+
+@functools.cache
+def _hints_of(kind: type) -> Mapping[str, Any]:
+    """The types of a dataclass's fields: as texts they are read anew each time, which takes half a millisecond."""
+    return typing.get_type_hints(kind)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from service.inference.belief import covariance_of
@@ -9,10 +11,10 @@ from service.inference.domain import Domain, sample_prior
 from service.inference.estimate import mean_pose, report, spread
 from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
 from service.inference.numerics.student import draw, root_of
-from service.inference.pose import concatenate, retract
+from service.inference.pose import concatenate, exp_so3, multiply, retract, yaw_pitch_roll_deg
 from service.inference.state import Array, Estimate, FilterState, Goodness, Mixture, Mode, Poses, Spread
 
-_DRAWS = 1000  # numerical: for the spreads that have no closed form: yaw, pitch, roll
+_DRAWS = 128  # numerical: pairs, for the spreads that have no closed form: yaw, pitch, roll
 
 
 def drawn(rng: np.random.Generator, mixture: Mixture, count: int, domain: Domain) -> tuple[Poses, Array]:
@@ -37,25 +39,21 @@ def drawn(rng: np.random.Generator, mixture: Mixture, count: int, domain: Domain
     return concatenate(*poses), np.concatenate(rates)
 
 
-def mode_spread(rng: np.random.Generator, mixture: Mixture, k: int, domain: Domain) -> Spread:
+def mode_spread(mixture: Mixture, k: int) -> Spread:
     """Standard deviations and covariance of one mode."""
     d = mixture.rates.shape[1]
     covariance = covariance_of(mixture, k)[:d, :d]
     mean = mixture.poses[k : k + 1]
-    steps = rng.standard_normal((_DRAWS, d)) @ root_of(covariance).T
-    steps[:, 3:] = 0.0  # only turns are looked at; a scale that nothing is known of would overflow
-    found = spread(
-        retract(mean[np.zeros(_DRAWS, dtype=np.intp)], steps), np.full(_DRAWS, 1 / _DRAWS), mean, domain.wrapping
-    )
+    yaw, pitch, roll = _euler_deviations(mean.quaternion, covariance[:3, :3])
     units = np.ones(d)
     units[:3] = np.rad2deg(1.0)
     told = covariance * np.outer(units, units)
     deviation = np.sqrt(np.diag(told))
     return Spread(
         orientation_deg=float(np.sqrt(np.trace(told[:3, :3]))),
-        yaw_deg=found.yaw_deg,
-        pitch_deg=found.pitch_deg,
-        roll_deg=found.roll_deg,
+        yaw_deg=yaw,
+        pitch_deg=pitch,
+        roll_deg=roll,
         x_px=float(deviation[3]),
         y_px=float(deviation[4]),
         scale_px=float(deviation[5] * np.exp(mean.log_scale[0])),
@@ -64,8 +62,23 @@ def mode_spread(rng: np.random.Generator, mixture: Mixture, k: int, domain: Doma
     )
 
 
+def _euler_deviations(quaternion: Array, covariance: Array) -> list[float]:
+    """Of yaw, pitch and roll, degrees, under turns of (3, 3) covariance (rad) of a batch of one."""
+    turned = multiply(quaternion, exp_so3(_unit_draws() @ root_of(covariance).T))
+    off = yaw_pitch_roll_deg(turned) - yaw_pitch_roll_deg(quaternion)
+    off = np.mod(off + 180.0, 360.0) - 180.0
+    return [float(one) for one in np.sqrt(np.mean(off**2, axis=0))]
+
+
+@functools.cache
+def _unit_draws() -> Array:
+    """(2 N, 3) of the unit Gaussian, in pairs of opposites, with just its covariance."""
+    half = np.random.default_rng(0).standard_normal((_DRAWS, 3))
+    half = half @ np.linalg.inv(np.linalg.cholesky(half.T @ half / _DRAWS)).T
+    return np.concatenate([half, -half])
+
+
 def estimate_of(
-    rng: np.random.Generator,
     mixture: Mixture,
     particles: Poses,
     status: str,
@@ -80,7 +93,7 @@ def estimate_of(
     mean = domain.wrap(mean_pose(particles, weights, domain.wrapping))
     modes = []
     for k in np.argsort(-mixture.log_weights):
-        width = mode_spread(rng, mixture, int(k), domain)
+        width = mode_spread(mixture, int(k))
         modes.append(Mode(float(np.exp(mixture.log_weights[k])), report(domain.wrap(mixture.poses[k : k + 1])), width))
     return Estimate(
         status=status,

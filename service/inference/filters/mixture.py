@@ -25,6 +25,7 @@ from service.inference.model.stages import FINEST, Stage, stage_hill
 from service.inference.motion import MotionNoise, motion_noise
 from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
 from service.inference.numerics.hill import Hill, Refined, Trust
+from service.inference.numerics.placing import placed
 from service.inference.numerics.priors import Believed
 from service.inference.pose import concatenate, retract
 from service.inference.state import Estimate, FilterState, Mixture, Poses
@@ -103,7 +104,8 @@ def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted |
     look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
     held = None if ahead is None else Candidates(ahead.poses, ahead.suns, ahead.log_weights)
     shake = before is None or (before.searches == 1 and before.misses > 0)  # what leads, once
-    return search(*look, moved, equivalents, shake=shake, held=held)
+    doubted = before is not None and bool(told_existence(before)[existence.NO_FIT] >= 0.5)
+    return search(*look, moved, equivalents, shake=shake, held=held, doubted=doubted)
 
 
 def search_due(before: Mixture | None) -> bool:
@@ -149,8 +151,8 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     enough = np.full(len(poses), ENOUGH if far else _ENOUGH_OF_OTHERS)
     enough[np.argmax(ahead.log_weights)] = ENOUGH
     believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
-    given = hill, poses, ahead.suns
-    return ascend(*given, steps=FINEST.steps, covariance="last", believed=believed, enough=enough, shift=True)
+    given = hill, placed(hill, poses, ahead.suns, believed), ahead.suns
+    return ascend(*given, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
 
 
 def is_another(updated: Updated, given: Given) -> bool:
@@ -223,7 +225,7 @@ def concluded(
     best = updated.refined[int(np.argmax(updated.log_weights))]
     fit = existence.goodness(hill, best.fit)
     evidence = best.fit.log_evidence, updated.log_evidence
-    estimate = estimate_of(rng, after, poses, status, given.domain, told_existence(after), evidence, fit)
+    estimate = estimate_of(after, poses, status, given.domain, told_existence(after), evidence, fit)
     count = len(poses)
     even = np.full(count, -np.log(count))
     return FilterState(poses, even, rates, given.index, given.time_s, status, {}, after), estimate

@@ -20,6 +20,7 @@ from service.inference.state import Array
 _NU = prior.DEGREES_OF_FREEDOM
 _T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)  # exact: of its height
 ROUNDS = 6  # numerical: of reweighting: the evidence moves by less than 0.1 nats after it
+STILL = 1e-2  # numerical: nats: a step that promises less is not worth another look, and is not taken
 LEAST_LIT = 1e-4  # numerical: of the Sun full on: a plane that shows less is left out
 _LONGEST_STEP = 1.5  # numerical: of a log albedo in one round
 _MOST = (np.inf, 1.0)  # prior: of even light, and of the sky that is hidden
@@ -167,8 +168,8 @@ def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS)
     positive = np.delete(np.arange(len(planes)), even)
     lit = np.flatnonzero(blurred[positive].max(axis=(1, 2)) > LEAST_LIT)
     unknowns = _Unknowns(terms, blurred[positive[lit]], blurred[even], lit)
-    for _ in range(rounds):
-        unknowns.step()
+    while rounds > 0 and unknowns.step() >= STILL:
+        rounds -= 1
     fit = unknowns.result()
     gain = float(np.exp(unknowns.value[len(lit)]))
     coefficients = np.empty(len(planes), np.float32)
@@ -248,25 +249,30 @@ class _Unknowns:
         self.gained = _weigh_stars(terms, residual, variance, weight)
         return columns, light, model, residual, variance, weight
 
-    def step(self) -> None:
-        """One round: weights from the residual, then a Gauss-Newton step."""
+    def step(self) -> float:
+        """One round: weights from the residual, then a Gauss-Newton step, unless it promises too little; nats."""
         columns, _, _, residual, _, weight = self._look()
+        normal, pull = self._system(columns, residual, weight)
+        move = np.linalg.solve(*self._firm(normal + np.diag(self._precision), pull))
+        promised = abs(0.5 * float(pull @ move))
+        if promised >= STILL:
+            move[: self._n + 1] = np.clip(move[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)
+            self.value = self.value + move
+            shares = slice(self._n + 1, self._n + 3)
+            self.value[shares] = np.clip(self.value[shares], 0.0, _MOST)
+        return promised
+
+    def _system(self, columns: Images, residual: Images, weight: Images) -> tuple[Array, Array]:
+        """J' W J, and the slope of the log posterior."""
         flat = columns.reshape(len(columns), -1)
         weighted = flat * weight.ravel()
-        normal = (weighted @ flat.T).astype(np.float64) + np.diag(self._precision)
         pull = (weighted @ residual.ravel()).astype(np.float64) - self._precision * (self.value - self._mean)
-        normal, firm_pull = self._firm(normal, pull)
-        move = np.linalg.solve(normal, firm_pull)
-        move[: self._n + 1] = np.clip(move[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)
-        self.value = self.value + move
-        shares = slice(self._n + 1, self._n + 3)
-        self.value[shares] = np.clip(self.value[shares], 0.0, _MOST)
+        return (weighted @ flat.T).astype(np.float64), pull
 
     def _firm(self, normal: Array, pull: Array) -> tuple[Array, Array]:
         """Both, with unknowns that a step would take beyond the end of their range to go there, and no further.
 
-        Even light is no less than nothing, and no more of the sky is hidden than there is. A sky that a body brightens
-        would be light without a discrepancy.
+        Even light is no less than nothing, and no more sky is hidden than there is: light without a discrepancy.
         """
         normal, pull = normal.copy(), pull.copy()
         free = dict(zip((self._n + 1, self._n + 2), _MOST, strict=True))
@@ -279,10 +285,8 @@ class _Unknowns:
 
     def result(self) -> Fit:
         """The evidence where the steps ended."""
-        terms = self._terms
-        columns, light, model, residual, variance, weight = self._look()
-        flat = columns.reshape(len(columns), -1)
-        normal = ((flat * weight.ravel()) @ flat.T).astype(np.float64)
+        terms, (columns, light, model, residual, variance, weight) = self._terms, self._look()
+        normal, pull = self._system(columns, residual, weight)
         deviation, root = self.value - self._mean, np.sqrt(self._precision)
         logdet = float(np.linalg.slogdet(normal / np.outer(root, root) + np.eye(len(root)))[1])
         evidence = float(np.sum(t_log_density(residual, variance), dtype=np.float64)) / terms.area + self.gained
@@ -290,9 +294,7 @@ class _Unknowns:
         body = light**2 > terms.noise / terms.area
         chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0
         nothing, unlit = np.empty(0, np.float32), np.empty(0, np.intp)
-        everywhere = slice(0, len(residual)), slice(0, len(residual))
-        maps = nothing, residual, weight, model, light, everywhere, columns
-        pull = flat @ (weight * residual).ravel().astype(np.float64) - self._precision * deviation
+        maps = nothing, residual, weight, model, light, (slice(0, len(residual)),) * 2, columns
         curvature, firm_pull = self._firm(normal + np.diag(self._precision), pull)
         pull = np.where(firm_pull == pull, pull, 0.0)
         return Fit(nothing, evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull, unlit)

@@ -46,6 +46,8 @@ from service.inference.state import Poses
 BANK_SIZE = 4500  # numerical: rotations 12 degrees apart; as many again for each joint, three times at the most
 # numerical: about half a step of the bank's, each axis
 _BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06
+# numerical: poses about a leader that does not fit, how far each axis, steps; place (radii) and log scale
+_SCATTERED, _SCATTERED_RAD, _SCATTERED_STEPS, _SCATTERED_PLACE = 32, 0.15, 5, 0.015
 _MIRRORED = 3  # numerical: of the best, whose symmetry-equivalents are looked at
 _WIDER = 1.3  # numerical: so much more must a wider sight span
 _BEHIND = 40.0  # numerical: nats behind the best at the sharp stage: of 52 frames the truth was 21 at the most
@@ -76,11 +78,13 @@ def search(
     *,
     shake: bool = True,
     held: Candidates | None = None,
+    doubted: bool = False,
 ) -> Found:
     """All that a frame alone says of a pose.
 
     ``shake``: False leaves what lies around the best to a later search.
     ``held``: poses that are followed already. Where nothing else comes near to the best of them, nothing is found.
+    ``doubted``: the best of them does not fit, so that what lies some degrees about it is searched, too.
     ``alike``: poses whose outline is that of the given ones; light decides between them.
     ``rng`` moves the templates' poses by half of what lies between them: searches that err do not err alike.
     ``wide``: a sight of more, in case that the body is more than what is seen at one place. The evidence of what both
@@ -111,6 +115,10 @@ def search(
         some = best_of(joined([some, *under(hill, some, _MORE_SUNS)]), SHARP.kept, body.fine.articulation)
     if held is not None:
         known = climbed(hill, scored(hill, held), SHARP)
+        if doubted and rng is not None:
+            near = scattered(rng, hill, known[:1])
+            some = joined([some, climbed(hill, near, replace(SHARP, kept=_SCATTERED, steps=_SCATTERED_STEPS))])
+            some = best_of(some, SHARP.kept, body.fine.articulation)
         rivals = some[np.flatnonzero(some.found > known.found[0] - _BEHIND)]
         if not shake and all(
             turned_alike(rivals.poses[k : k + 1], known.poses, body.fine.articulation).any()
@@ -163,6 +171,20 @@ def jittered(
     moved = retract(some.poses, steps)
     moved = replace(moved, joints=within(drawing, moved.joints))
     return replace(some, poses=moved if tracking is None else tracking.pointed(moved, some.suns))
+
+
+def scattered(rng: np.random.Generator, hill: Hill, one: Candidates) -> Candidates:
+    """Poses in a wide ball about one, not looked at: from coarse pictures all of them slid to where it is."""
+    steps = rng.standard_normal((_SCATTERED, 6 + one.poses.joints.shape[1]))
+    rim = hill.drawing.radius * np.exp(one.poses.log_scale)
+    steps[:, :3] *= _SCATTERED_RAD
+    steps[:, 3:5] *= _SCATTERED_PLACE * rim
+    steps[:, 5] *= _SCATTERED_PLACE
+    steps[:, 6:] *= _BETWEEN_JOINTS * hill.drawing.articulation.spans
+    at = np.zeros(_SCATTERED, np.intp)
+    moved = retract(one.poses[at], steps)
+    moved = replace(moved, joints=within(hill.drawing, moved.joints))
+    return Candidates(moved, one.suns[at], np.zeros(_SCATTERED))
 
 
 def finished(

@@ -15,7 +15,6 @@ from service.inference.model.drawing import Drawing
 from service.inference.model.likelihood import Fit, terms_of
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images
-from service.inference.model.spread import gradient
 from service.inference.numerics.curvature import slopes_of, systems_of
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import Believed, PosePrior
@@ -42,19 +41,15 @@ def ascend(
     believed: Believed | None = None,
     enough: float | Array = ENOUGH,
     hopeless: float = np.inf,
-    shift: bool = False,
 ) -> list[Refined]:
     """Climb from N poses, each with its Sun (N, 3), ``steps`` at the most. In the order given.
 
     ``enough``: nats, (N,) if each its own: the last step is the one that gains less, or to so much what the slopes at
     its start promise of the top.
     ``hopeless``: nats; after two steps those go no further that are so much behind the best.
-    ``shift``: begin with a step of place alone, which costs a look.
     ``covariance``: at the end, at the last place whose slopes are known (which is cheaper), or none.
     """
     climb = _Climb(hill, poses, suns, believed, np.broadcast_to(enough, len(poses)))
-    if shift:
-        climb.shift()
     for k in range(steps):
         climb.step()
         if k + 1 >= _TRIAL_STEPS:
@@ -74,15 +69,6 @@ class _Climb:
         self._going = np.ones(n, dtype=bool)
         self._slopes: dict[np.intp, Images] = {}
         self._shifted = np.zeros(n)  # patch px by which a rim moved since its slopes were drawn
-
-    def shift(self) -> None:
-        """One step of all, of place alone: the air moves a picture as a whole, and its slopes need no drawing."""
-        everybody = np.arange(len(self._poses))
-        slopes = [_slopes_of_place(self._hill, fit, self._poses.joints.shape[1]) for fit in self._fits]
-        given = self._poses, self._suns, self._fits, slopes, self._believed, everybody
-        moves = np.zeros((len(everybody), slopes[0].shape[0]))
-        moves[:, 3:5] = self._moves(systems_of(self._hill, *given), everybody)[:, 3:5]
-        self._try(everybody, moves)
 
     def step(self) -> None:
         """One step of all that are still on their way."""
@@ -159,14 +145,6 @@ class _Climb:
         for k, (_, _, curvature) in zip(at, systems, strict=True):
             self._curvatures[k] = curvature
         return systems
-
-
-def _slopes_of_place(hill: Hill, fit: Fit, joints: int) -> Images:
-    """(D, S, S) of which only those by place are not zero: the picture's own."""
-    out = np.zeros((6 + joints + 2 * hill.sun_free, *fit.model.shape), np.float32)
-    dx, dy = gradient(fit.model)
-    out[3], out[4] = -dx / np.float32(hill.view.binning), -dy / np.float32(hill.view.binning)
-    return out
 
 
 def _rim_shift(hill: Hill, poses: Poses, moves: Array) -> Array:

@@ -107,6 +107,17 @@ def test_a_track_is_shaken_though_the_templates_missed_it(monkeypatch):
     assert off_deg(shaken_poses[0], at) < 2.0
 
 
+@pytest.mark.parametrize(("axis", "away"), [(0, 0.5), (1, 0.8), (2, 0.6)])
+def test_about_a_track_that_is_doubted_the_truth_is_met_though_the_templates_missed_it(axis, away):
+    at = truth(4, False)
+    few = Bank(bank(False).suns[:9], bank(False).poses[:9], bank(False).pictures[:, :9])
+    wrong = held_at(retract(at, away * np.eye(6)[axis : axis + 1]))
+    given = body(False), sight_of(at), few, TOLD, None, np.random.default_rng(1)
+    known = [off_deg(one.pose, at) for one in search(*given, shake=False, held=wrong).basins]
+    assert min(known, default=180.0) > 20.0
+    assert off_deg(search(*given, shake=False, held=wrong, doubted=True).basins[0].pose, at) < 2.0
+
+
 def test_a_sight_that_is_hardly_wider_is_not_looked_at():
     def never(centre: tuple[float, float], span: float, wanted: float) -> Patch:
         raise AssertionError

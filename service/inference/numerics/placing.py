@@ -1,0 +1,95 @@
+"""Poses moved across to where a frame shows their light: the air and the mount move a picture as a whole.
+
+One picture a pose is drawn, with the paint that is expected; its brightness, the level of the sky and its place are
+fitted. It costs a third of a look (docs/model.md, section 3), in which all unknowns of the light are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from service.inference.model.drawing import EVEN_PLANES
+from service.inference.model.likelihood import Terms, t_log_density, terms_of
+from service.inference.model.paint import painted
+from service.inference.model.prior import DEGREES_OF_FREEDOM
+from service.inference.model.scene import Images
+from service.inference.model.spread import spread_slopes
+from service.inference.numerics.hill import Hill
+from service.inference.numerics.priors import Believed
+from service.inference.state import Array, Poses
+
+_ROUNDS = 3  # numerical: of reweighting
+
+
+def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
+    """The N poses at their best places (frame px), everything else as it is; where nothing is better, as they are."""
+    n_planes = believed.paint.shape[-1] + EVEN_PLANES
+    terms = painted(terms_of(hill.scene, hill.drawing.n_groups, n_planes), believed.paint)
+    images = hill.drawing.combined(poses, suns, _expected_light(terms, hill.drawing.n_groups), hill.view, hill.quality)
+    pictures = np.stack(spread_slopes(images, hill.scene.point_spread, hill.scene.smoothing), axis=1)
+    whole = np.linalg.inv(believed.precision)[:, 3:5, 3:5] / hill.view.binning**2  # patch px
+    away = (poses.position - believed.means.position) / hill.view.binning
+    reach = hill.trust.place * hill.drawing.radius * np.exp(poses.log_scale) / hill.view.binning
+    unsure = _paint_variance(terms)
+    moves = [
+        _move(terms, pictures[k], np.linalg.inv(whole[k]), away[k], float(reach[k]), float(unsure[k]))
+        for k in range(len(poses))
+    ]
+    return replace(poses, position=poses.position + hill.view.binning * np.array(moves).reshape(-1, 2))
+
+
+def _expected_light(terms: Terms, n_groups: int) -> Images:
+    """(N, Q) coefficients of a drawing's planes: priors and learnt paint at their means, the gain one."""
+    shares = np.exp(terms.offset + terms.mean[:, : len(terms.offset)])
+    even = np.zeros((len(shares), EVEN_PLANES), np.float32)
+    even[:, 0] = terms.mean[:, len(terms.offset) + 1]
+    return np.concatenate([shares[:, :n_groups], even, shares[:, n_groups:]], axis=1)
+
+
+def _paint_variance(terms: Terms) -> Images:
+    """(N,) of the log of a pixel's light, as far as its paint is unknown."""
+    count = len(terms.offset)
+    shares = np.exp(terms.offset + terms.mean[:, :count])
+    return np.asarray(np.sum(shares / terms.precision[:, :count], axis=1) / np.sum(shares, axis=1), np.float32)
+
+
+def _move(terms: Terms, pictures: Images, precision: Array, away: Array, reach: float, unsure: float) -> Array:
+    """(2,) patch px by which a picture, here with its slopes (3, S, S), lies best; what is expected of it counts."""
+    power = float(np.sum(pictures[0] ** 2))
+    gain = float(np.sum(pictures[0] * terms.data)) / max(power, 1e-12)
+    if gain <= 0:
+        return np.zeros(2)
+    best, highest, move, level = np.zeros(2), -np.inf, np.zeros(2), 0.0
+    for _ in range(_ROUNDS + 1):
+        there = _shifted(pictures, move)
+        light = np.float32(gain) * there[0]
+        residual = terms.data - light - np.float32(level)
+        residual[terms.full] = np.maximum(residual[terms.full], 0.0)  # at least so much light
+        residual[terms.stars > 0] = np.minimum(residual[terms.stars > 0], 0.0)  # a star's, where it is more
+        variance = (terms.noise + terms.photon * np.maximum(light, 0)) / terms.area
+        variance = variance + np.float32(terms.wrong + unsure) * light**2
+        off = away + move
+        score = float(np.sum(t_log_density(residual, variance))) / terms.area - 0.5 * float(off @ precision @ off)
+        if score <= highest:
+            break
+        best, highest = move, score
+        weight = (DEGREES_OF_FREEDOM + 1) / ((DEGREES_OF_FREEDOM * variance + residual**2) * terms.area)
+        columns = np.stack([there[0], np.ones_like(light), -gain * there[1], -gain * there[2]]).reshape(4, -1)
+        weighted = columns * weight.ravel()
+        normal, pull = (weighted @ columns.T).astype(np.float64), (weighted @ residual.ravel()).astype(np.float64)
+        normal[2:, 2:] += precision + np.eye(2) / reach**2
+        pull[2:] -= precision @ off
+        step = np.linalg.solve(normal, pull)
+        gain, level, move = max(gain + float(step[0]), 1e-3 * gain), level + float(step[1]), move + step[2:]
+    return best
+
+
+def _shifted(pictures: Images, move: Array) -> Images:
+    """(K, S, S) moved by (2,) px; beyond the border is nothing."""
+    if not move.any():
+        return pictures
+    matrix = np.array([[1.0, 0.0, move[0]], [0.0, 1.0, move[1]]])
+    return np.stack([cv2.warpAffine(one, matrix, one.shape[::-1], flags=cv2.INTER_LINEAR) for one in pictures])
