@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from sqlalchemy import Connection, Table, delete, insert, select
+from sqlalchemy import BindParameter, Connection, Insert, Table, bindparam, delete, insert, select
 
 from service.errors import GoneError, NotFoundError
 from service.store import sessions as session_queries
@@ -13,6 +14,13 @@ from service.store.base import FrameRecord, Retention, StoredBelief, StoredEvent
 from service.store.scope import SessionKey
 from service.store.seal import CHECKSUM, checked, sealed
 from service.store.tables import beliefs, estimates, events, frame_bodies, frames, particles, sessions
+
+_BEFORE: BindParameter[int] = bindparam("before")
+_MINE: BindParameter[str] = bindparam("of_session")
+_EVERY: BindParameter[int] = bindparam("every")
+_OLD_BODIES = delete(frame_bodies).where(frame_bodies.c.session_id == _MINE, frame_bodies.c.idx <= _BEFORE)
+_OLD_SETS = delete(particles).where(particles.c.session_id == _MINE, particles.c.idx <= _BEFORE)
+_OLD_SETS_BUT_SOME = _OLD_SETS.where(particles.c.idx % _EVERY != 0)
 
 
 def append(connection: Connection, record: FrameRecord, retention: Retention) -> int:
@@ -50,17 +58,22 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
 
 
 def _put(connection: Connection, table: Table, values: Mapping[str, Any]) -> None:
-    connection.execute(insert(table), sealed(table, values))
+    connection.execute(_insert(table), sealed(table, values))
+
+
+@functools.cache
+def _insert(table: Table) -> Insert:
+    """Kept, as ``_OLD_BODIES`` is: to build a statement takes as long as to run it."""
+    return insert(table)
 
 
 def _forget(connection: Connection, session_id: SessionKey, newest: int, retention: Retention) -> None:
-    old_bodies = frame_bodies.c.idx <= newest - retention.frame_bodies
-    connection.execute(delete(frame_bodies).where(frame_bodies.c.session_id == session_id, old_bodies))
-    old_sets = particles.c.idx <= newest - retention.particle_sets
-    query = delete(particles).where(particles.c.session_id == session_id, old_sets)
+    connection.execute(_OLD_BODIES, {"of_session": session_id, "before": newest - retention.frame_bodies})
+    sets = {"of_session": session_id, "before": newest - retention.particle_sets}
     if retention.particle_every:
-        query = query.where(particles.c.idx % retention.particle_every != 0)
-    connection.execute(query)
+        connection.execute(_OLD_SETS_BUT_SOME, {**sets, "every": retention.particle_every})
+    else:
+        connection.execute(_OLD_SETS, sets)
 
 
 def find(

@@ -7,6 +7,7 @@ releases before there were checksums have none, and are believed.
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Mapping
 from hashlib import blake2b
@@ -61,6 +62,7 @@ def row_name(table: Table, values: Mapping[Any, Any]) -> str:
     return f"{table.name} ({keys})"
 
 
+@functools.cache
 def _columns(table: Table) -> list[KeyedColumnElement[Any]]:
     return [column for column in table.c if column.name != CHECKSUM and not column.info.get("changes")]
 

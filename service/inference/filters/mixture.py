@@ -103,7 +103,7 @@ def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted |
     moved, equivalents = None if before is None else rng, alike if given.twins else None
     look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
     held = None if ahead is None else Candidates(ahead.poses, ahead.suns, ahead.log_weights)
-    shake = before is None or (before.searches == 1 and before.misses > 0)  # what leads, once
+    shake = before is not None and before.searches == 1  # what leads, once
     doubted = before is not None and bool(told_existence(before)[existence.NO_FIT] >= 0.5)
     return search(*look, moved, equivalents, shake=shake, held=held, doubted=doubted)
 

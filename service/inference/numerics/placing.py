@@ -22,6 +22,7 @@ from service.inference.numerics.priors import Believed
 from service.inference.state import Array, Poses
 
 _ROUNDS = 3  # numerical: of reweighting
+_FAINT = 1e-3  # numerical: of the brightest pixel: what is less moves nothing
 
 
 def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
@@ -58,17 +59,20 @@ def _paint_variance(terms: Terms) -> Images:
 
 def _move(terms: Terms, pictures: Images, precision: Array, away: Array, reach: float, unsure: float) -> Array:
     """(2,) patch px by which a picture, here with its slopes (3, S, S), lies best; what is expected of it counts."""
+    window = _around(pictures[0], reach)
+    pictures, data, full = pictures[:, *window], terms.data[window], terms.full[window]
+    starry = terms.stars[window] > 0
     power = float(np.sum(pictures[0] ** 2))
-    gain = float(np.sum(pictures[0] * terms.data)) / max(power, 1e-12)
+    gain = float(np.sum(pictures[0] * data)) / max(power, 1e-12)
     if gain <= 0:
         return np.zeros(2)
     best, highest, move, level = np.zeros(2), -np.inf, np.zeros(2), 0.0
     for _ in range(_ROUNDS + 1):
         there = _shifted(pictures, move)
         light = np.float32(gain) * there[0]
-        residual = terms.data - light - np.float32(level)
-        residual[terms.full] = np.maximum(residual[terms.full], 0.0)  # at least so much light
-        residual[terms.stars > 0] = np.minimum(residual[terms.stars > 0], 0.0)  # a star's, where it is more
+        residual = data - light - np.float32(level)
+        residual[full] = np.maximum(residual[full], 0.0)  # at least so much light
+        residual[starry] = np.minimum(residual[starry], 0.0)  # a star's, where it is more
         variance = (terms.noise + terms.photon * np.maximum(light, 0)) / terms.area
         variance = variance + np.float32(terms.wrong + unsure) * light**2
         off = away + move
@@ -85,6 +89,14 @@ def _move(terms: Terms, pictures: Images, precision: Array, away: Array, reach: 
         step = np.linalg.solve(normal, pull)
         gain, level, move = max(gain + float(step[0]), 1e-3 * gain), level + float(step[1]), move + step[2:]
     return best
+
+
+def _around(picture: Images, reach: float) -> tuple[slice, slice]:
+    """Rows and columns of a picture's light, and as far about it as it may move in a few steps."""
+    more, bright = int(np.ceil(2 * reach)), picture >= _FAINT * picture.max()
+    spans = (np.flatnonzero(bright.any(axis=axis)) for axis in (1, 0))
+    rows, columns = (slice(max(int(at[0]) - more, 0), int(at[-1]) + 1 + more) for at in spans)
+    return rows, columns
 
 
 def _shifted(pictures: Images, move: Array) -> Images:
