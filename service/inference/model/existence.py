@@ -7,8 +7,9 @@ from scipy.special import betaln
 
 from service.inference.model import prior
 from service.inference.model.drawing import EVEN_PLANES
-from service.inference.model.likelihood import Fit
+from service.inference.model.likelihood import Fit, t_log_density
 from service.inference.model.scene import Scene
+from service.inference.model.spread import gradient
 from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Goodness
 
@@ -34,6 +35,15 @@ def scene_unlike(hill: Hill) -> Scene:
     its evidence is a least.
     """
     return hill.scene.under(discrepancy=prior.UNLIKE)
+
+
+def log_unlike_of(hill: Hill, fit: Fit) -> float:
+    """Log density of a frame as of another body, its light not fitted anew: what evidence cannot be far above."""
+    scene, (dx, dy) = scene_unlike(hill), gradient(fit.light)
+    white = (scene.sigma**2 + scene.photon * np.maximum(fit.light, 0)) / scene.area
+    edges = (scene.grain * prior.EDGE_PX) ** 2 * (dx**2 + dy**2)
+    variance = np.asarray(white + scene.alike * scene.discrepancy**2 * (fit.light**2 + edges), np.float32)
+    return float(np.sum(t_log_density(fit.residual, variance), dtype=np.float64)) / scene.area
 
 
 def log_light(hill: Hill, fit: Fit) -> float:

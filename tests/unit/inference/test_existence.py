@@ -6,12 +6,16 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from lit_body import QUALITY, SUN, shares
+from lit_body import QUALITY, SUN, scene, shares
 from test_light_filter import SIGMA, SIZE, Drawn, body, given, mixture, step, truth
 
+from service.inference.filters.weighing import _REFITTED
 from service.inference.model import existence, prior
 from service.inference.model.drawing import View
 from service.inference.model.spread import PointSpread, spread
+from service.inference.numerics.gauss_newton import ascend
+from service.inference.numerics.hill import Hill
+from service.inference.numerics.priors import PosePrior
 from service.inference.pose import retract
 from service.inference.state import FilterState, Poses
 
@@ -100,3 +104,14 @@ def test_light_that_is_not_the_bodys_is_no_measure_of_it_but_what_was_known_is_s
     for _ in range(40):
         light = existence.usual_light(light, 5.0, 0.1)
     assert 5.0 < light < 5.1 and existence.usual_light(9.0, 5.0, 0.1) > 8.5
+
+
+def test_what_a_frame_says_of_another_body_is_not_far_from_what_it_says_with_the_light_fitted_anew():
+    """So that it need not be fitted where it is hopeless."""
+    for gain, brighter in ((60.0, 1.0), (700.0, 1.0), (700.0, 2.5)):
+        image = picture(truth(0), gain, (1.0, 1.4 * brighter, 0.7))
+        image = image + np.random.default_rng(5).normal(0, SIGMA, image.shape)
+        hill = Hill(scene(image, SIGMA), body().fine, View((0.0, 0.0), 1.0, SIZE), PosePrior(towards_sun=SUN))
+        fit = ascend(hill, truth(0), SUN[None].copy(), steps=0, covariance="none")[0].fit
+        anew = hill.log_evidences(fit.planes[None], existence.scene_unlike(hill))[0]
+        assert -_REFITTED < anew - existence.log_unlike_of(hill, fit) < _REFITTED
