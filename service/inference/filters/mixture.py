@@ -35,7 +35,7 @@ FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as 
 _RIM, _SIGHT = 1.2, 1.6  # numerical: of the body's radius that belongs to it; a patch's side over its light's span
 _ENOUGH_OF_OTHERS = 1 / prior.EVIDENCE_TRUST  # numerical: nats that others may be short of their best
 _LEAST = 1e-3  # numerical: probability below which a mode is dropped
-_EAGER = 3  # numerical: searches of a leader, one frame after the other
+_EAGER = 4  # numerical: searches of a leader, one frame after the other
 _RARER, _RAREST = 3, 100  # numerical: each search that could not better the leader makes the next so much rarer; frames
 
 
