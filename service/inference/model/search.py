@@ -116,9 +116,7 @@ def search(
     if held is not None:
         known = climbed(hill, scored(hill, held), SHARP)
         if doubted and rng is not None:
-            near = scattered(rng, hill, known[:1])
-            some = joined([some, climbed(hill, near, replace(SHARP, kept=_SCATTERED, steps=_SCATTERED_STEPS))])
-            some = best_of(some, SHARP.kept, body.fine.articulation)
+            some = best_of(joined([some, scattered(rng, hill, known[:1])]), SHARP.kept, body.fine.articulation)
         rivals = some[np.flatnonzero(some.found > known.found[0] - _BEHIND)]
         if not shake and all(
             turned_alike(rivals.poses[k : k + 1], known.poses, body.fine.articulation).any()
@@ -127,12 +125,15 @@ def search(
             return Found([], hill, nuisance)
         some = best_of(joined([some, known]), SHARP.kept, body.fine.articulation)
     some = some[np.flatnonzero(some.found > some.found[0] - _BEHIND)]
-    if alike is not None:
-        first = some[:_MIRRORED]
-        poses = alike(first.poses)
-        suns = np.tile(first.suns, (len(poses) // len(first.poses), 1))
-        some = joined([some, Candidates(poses, suns, np.full(len(poses), -np.inf))])
+    some = some if alike is None else joined([some, equivalents(some[:_MIRRORED], alike)])
     return finished(body, sight, some, nuisance, told, shake)
+
+
+def equivalents(some: Candidates, alike: Callable[[Poses], Poses]) -> Candidates:
+    """Poses of the same outlines, not looked at."""
+    poses = alike(some.poses)
+    suns = np.tile(some.suns, (len(poses) // len(some.poses), 1))
+    return Candidates(poses, suns, np.full(len(poses), -np.inf))
 
 
 def started(
@@ -174,7 +175,7 @@ def jittered(
 
 
 def scattered(rng: np.random.Generator, hill: Hill, one: Candidates) -> Candidates:
-    """Poses in a wide ball about one, not looked at: from coarse pictures all of them slid to where it is."""
+    """What poses in a wide ball about one climb to: while pictures were coarse all of them slid to where it is."""
     steps = rng.standard_normal((_SCATTERED, 6 + one.poses.joints.shape[1]))
     rim = hill.drawing.radius * np.exp(one.poses.log_scale)
     steps[:, :3] *= _SCATTERED_RAD
@@ -184,7 +185,8 @@ def scattered(rng: np.random.Generator, hill: Hill, one: Candidates) -> Candidat
     at = np.zeros(_SCATTERED, np.intp)
     moved = retract(one.poses[at], steps)
     moved = replace(moved, joints=within(hill.drawing, moved.joints))
-    return Candidates(moved, one.suns[at], np.zeros(_SCATTERED))
+    about = Candidates(moved, one.suns[at], np.zeros(_SCATTERED))
+    return climbed(hill, about, replace(SHARP, kept=_SCATTERED, steps=_SCATTERED_STEPS))
 
 
 def finished(
