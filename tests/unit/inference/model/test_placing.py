@@ -55,6 +55,11 @@ def test_where_there_is_no_light_it_stays(gain):
     assert np.abs(out.position - moved(OFF).position).max() < 1.0
 
 
+def test_a_body_that_is_expected_outside_of_the_patch_stays_there():
+    away = moved(np.array([[500.0, 0.0]]))
+    np.testing.assert_array_equal(found(frame(), away).position, away.position)
+
+
 def test_a_star_beside_it_does_not_draw_it_away():
     star, pieces = np.zeros((SIDE, SIDE)), np.zeros((SIDE, SIDE), np.uint8)
     star[8:11, 8:11], pieces[7:12, 7:12] = 3e3, 1
