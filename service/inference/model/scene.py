@@ -86,8 +86,7 @@ class Scene:
     @cached_property
     def gain(self) -> float:
         """Log gain to start from: that of the brighter light in the frame."""
-        rank = int(_BRIGHTER * (self.data.size - 1))
-        return log(max(float(np.partition(self.data, rank, axis=None)[rank]), 3 * self.sigma))
+        return log(max(float(np.quantile(self.data, _BRIGHTER)), 3 * self.sigma))
 
     def under(
         self,
