@@ -12,7 +12,7 @@ from service.imaging.pieces import find_light
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import View
 from service.inference.model.nuisance import Nuisance
-from service.inference.model.search import Found, make_bank
+from service.inference.model.search import Found, Track, make_bank
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import ROUGH, Body, Sight, stage_hill
 from service.inference.model.templates import Bank
@@ -78,5 +78,5 @@ def is_ordered(found: Found) -> bool:
     return values == sorted(values, reverse=True)
 
 
-def held_at(poses: Poses) -> Candidates:
-    return Candidates(poses, np.tile(SUN, (len(poses), 1)), np.zeros(len(poses)))
+def track_at(poses: Poses) -> Track:
+    return Track(Candidates(poses, np.tile(SUN, (len(poses), 1)), np.zeros(len(poses))))

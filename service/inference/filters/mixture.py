@@ -20,7 +20,7 @@ from service.inference.model.drawing import Quality
 from service.inference.model.dynamics import predicted, predicted_suns
 from service.inference.model.expected import lit_box
 from service.inference.model.nuisance import Nuisance
-from service.inference.model.search import Found, search
+from service.inference.model.search import Found, Track, search
 from service.inference.model.stages import FINEST, Stage, stage_hill
 from service.inference.motion import MotionNoise, motion_noise
 from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
@@ -102,10 +102,12 @@ def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted |
 
     moved, equivalents = None if before is None else rng, alike if given.twins else None
     look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
-    held = None if ahead is None else Candidates(ahead.poses, ahead.suns, ahead.log_weights)
+    track = None
+    if before is not None and ahead is not None:
+        doubted = bool(told_existence(before)[existence.NO_FIT] >= 0.5)
+        track = Track(Candidates(ahead.poses, ahead.suns, ahead.log_weights), doubted)
     shake = before is not None and before.searches == 1  # what leads, once
-    doubted = before is not None and bool(told_existence(before)[existence.NO_FIT] >= 0.5)
-    return search(*look, moved, equivalents, shake=shake, held=held, doubted=doubted)
+    return search(*look, moved, equivalents, shake=shake, track=track)
 
 
 def search_due(before: Mixture | None) -> bool:

@@ -21,6 +21,7 @@ from service.inference.model.candidates import (
 )
 from service.inference.model.drawing import Drawing
 from service.inference.model.expected import lit_box
+from service.inference.model.lookalikes import BETWEEN_JOINTS, boxed, equivalents, scattered
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_photon, best_spread
 from service.inference.model.proposing import propose
 from service.inference.model.shaking import SAME_DEG, shaken
@@ -45,10 +46,9 @@ from service.inference.state import Poses
 
 BANK_SIZE = 4500  # numerical: rotations 12 degrees apart; as many again for each joint, three times at the most
 # numerical: about half a step of the bank's, each axis
-_BETWEEN_RAD, _BETWEEN_SCALES, _BETWEEN_JOINTS = 0.07, 0.06, 0.06
-# numerical: poses about a leader that does not fit, how far each axis, steps; place (radii) and log scale
-_SCATTERED, _SCATTERED_RAD, _SCATTERED_STEPS, _SCATTERED_PLACE = 32, 0.15, 5, 0.015
+_BETWEEN_RAD, _BETWEEN_SCALES = 0.07, 0.06
 _MIRRORED = 3  # numerical: of the best, whose symmetry-equivalents are looked at
+_BOXED = 2  # numerical: of the best, whose lookalikes were the body a box are looked at
 _WIDER = 1.3  # numerical: so much more must a wider sight span
 _BEHIND = 40.0  # numerical: nats behind the best at the sharp stage: of 52 frames the truth was 21 at the most
 _LIT_SHARE = 0.65  # numerical: of a body's diameter that shows light, as a rule: how far a patch reaches
@@ -67,6 +67,14 @@ class Found:
     nuisance: Nuisance  # frame px
 
 
+@dataclass(frozen=True)
+class Track:
+    """What is followed already when a search is made."""
+
+    modes: Candidates
+    doubted: bool = False  # the best of them does not fit: what lies some degrees about it is searched, too
+
+
 def search(
     body: Body,
     sight: Sight,
@@ -77,14 +85,12 @@ def search(
     alike: Callable[[Poses], Poses] | None = None,
     *,
     shake: bool = True,
-    held: Candidates | None = None,
-    doubted: bool = False,
+    track: Track | None = None,
 ) -> Found:
     """All that a frame alone says of a pose.
 
     ``shake``: False leaves what lies around the best to a later search.
-    ``held``: poses that are followed already. Where nothing else comes near to the best of them, nothing is found.
-    ``doubted``: the best of them does not fit, so that what lies some degrees about it is searched, too.
+    ``track``: what is followed already. Where nothing else comes near to the best of it, nothing is found.
     ``alike``: poses whose outline is that of the given ones; light decides between them.
     ``rng`` moves the templates' poses by half of what lies between them: searches that err do not err alike.
     ``wide``: a sight of more, in case that the body is more than what is seen at one place. The evidence of what both
@@ -113,27 +119,28 @@ def search(
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
         some = best_of(joined([some, *under(hill, some, _MORE_SUNS)]), SHARP.kept, body.fine.articulation)
-    if held is not None:
-        known = climbed(hill, scored(hill, held), SHARP)
-        if doubted and rng is not None:
-            some = best_of(joined([some, scattered(rng, hill, known[:1])]), SHARP.kept, body.fine.articulation)
-        rivals = some[np.flatnonzero(some.found > known.found[0] - _BEHIND)]
-        if not shake and all(
-            turned_alike(rivals.poses[k : k + 1], known.poses, body.fine.articulation).any()
-            for k in range(len(rivals.found))
-        ):
-            return Found([], hill, nuisance)
-        some = best_of(joined([some, known]), SHARP.kept, body.fine.articulation)
-    some = some[np.flatnonzero(some.found > some.found[0] - _BEHIND)]
+    news = some if track is None else beside(hill, some, track, shake, rng)
+    if news is None:
+        return Found([], hill, nuisance)
+    some = news[np.flatnonzero(news.found > news.found[0] - _BEHIND)]
     some = some if alike is None else joined([some, equivalents(some[:_MIRRORED], alike)])
     return finished(body, sight, some, nuisance, told, shake)
 
 
-def equivalents(some: Candidates, alike: Callable[[Poses], Poses]) -> Candidates:
-    """Poses of the same outlines, not looked at."""
-    poses = alike(some.poses)
-    suns = np.tile(some.suns, (len(poses) // len(some.poses), 1))
-    return Candidates(poses, suns, np.full(len(poses), -np.inf))
+def beside(
+    hill: Hill, some: Candidates, track: Track, shake: bool, rng: np.random.Generator | None
+) -> Candidates | None:
+    """What was met, what looks like the best of it, and what is followed; None: nothing that is not followed."""
+    articulation = hill.drawing.articulation
+    known = climbed(hill, scored(hill, track.modes), SHARP)
+    more = [some, boxed(hill, best_of(joined([known, some]), _BOXED, articulation))]
+    if track.doubted and rng is not None:
+        more.append(scattered(rng, hill, known[:1]))
+    some = best_of(joined(more), SHARP.kept, articulation)
+    rivals = some[np.flatnonzero(some.found > known.found[0] - _BEHIND)].poses
+    if shake or not all(turned_alike(rivals[k : k + 1], known.poses, articulation).any() for k in range(len(rivals))):
+        return best_of(joined([some, known]), SHARP.kept, articulation)
+    return None
 
 
 def started(
@@ -168,25 +175,10 @@ def jittered(
     steps[:, :3] = _BETWEEN_RAD * rng.standard_normal((len(steps), 3))
     steps[:, 5] = _BETWEEN_SCALES * rng.standard_normal(len(steps))
     spans = drawing.articulation.spans
-    steps[:, 6:] = _BETWEEN_JOINTS * spans * rng.standard_normal((len(steps), len(spans)))
+    steps[:, 6:] = BETWEEN_JOINTS * spans * rng.standard_normal((len(steps), len(spans)))
     moved = retract(some.poses, steps)
     moved = replace(moved, joints=within(drawing, moved.joints))
     return replace(some, poses=moved if tracking is None else tracking.pointed(moved, some.suns))
-
-
-def scattered(rng: np.random.Generator, hill: Hill, one: Candidates) -> Candidates:
-    """What poses in a wide ball about one climb to: while pictures were coarse all of them slid to where it is."""
-    steps = rng.standard_normal((_SCATTERED, 6 + one.poses.joints.shape[1]))
-    rim = hill.drawing.radius * np.exp(one.poses.log_scale)
-    steps[:, :3] *= _SCATTERED_RAD
-    steps[:, 3:5] *= _SCATTERED_PLACE * rim
-    steps[:, 5] *= _SCATTERED_PLACE
-    steps[:, 6:] *= _BETWEEN_JOINTS * hill.drawing.articulation.spans
-    at = np.zeros(_SCATTERED, np.intp)
-    moved = retract(one.poses[at], steps)
-    moved = replace(moved, joints=within(hill.drawing, moved.joints))
-    about = Candidates(moved, one.suns[at], np.zeros(_SCATTERED))
-    return climbed(hill, about, replace(SHARP, kept=_SCATTERED, steps=_SCATTERED_STEPS))
 
 
 def finished(

@@ -11,11 +11,11 @@ from lit_search import (
     body,
     dark_sight,
     half_turns,
-    held_at,
     is_ordered,
     off_deg,
     rough_hill,
     sight_of,
+    track_at,
     truth,
 )
 
@@ -85,7 +85,7 @@ def test_a_track_that_nothing_comes_near_ends_the_search_before_its_finest_stage
     monkeypatch.setattr(searching, "finished", lambda *given: pytest.fail("went on"))
     at = truth(4, False)
     near = retract(at, 0.03 * np.eye(6)[:1])
-    found = search(body(False), sight_of(at), bank(False), TOLD, shake=False, held=held_at(near))
+    found = search(body(False), sight_of(at), bank(False), TOLD, shake=False, track=track_at(near))
     assert found.basins == []
 
 
@@ -93,7 +93,7 @@ def test_a_track_that_is_wrong_is_bettered_by_the_truth():
     at = truth(4, False)
     for away in (0.6, 2.0):
         wrong = retract(at, away * np.eye(6)[1:2])
-        found = search(body(False), sight_of(at), bank(False), TOLD, shake=False, held=held_at(wrong))
+        found = search(body(False), sight_of(at), bank(False), TOLD, shake=False, track=track_at(wrong))
         assert off_deg(found.basins[0].pose, at) < 2.0
 
 
@@ -102,7 +102,7 @@ def test_a_track_is_shaken_though_the_templates_missed_it(monkeypatch):
     few = Bank(bank(False).suns[:9], bank(False).poses[:9], bank(False).pictures[:, :9])
     shaken_poses = []
     monkeypatch.setattr(searching, "shaken", lambda clear, hill, one: shaken_poses.append(one.pose) or [])
-    found = search(body(False), sight_of(at), few, TOLD, held=held_at(at))
+    found = search(body(False), sight_of(at), few, TOLD, track=track_at(at))
     assert off_deg(found.basins[0].pose, at) < 2.0
     assert off_deg(shaken_poses[0], at) < 2.0
 
@@ -111,11 +111,11 @@ def test_a_track_is_shaken_though_the_templates_missed_it(monkeypatch):
 def test_about_a_track_that_is_doubted_the_truth_is_met_though_the_templates_missed_it(axis, away):
     at = truth(4, False)
     few = Bank(bank(False).suns[:9], bank(False).poses[:9], bank(False).pictures[:, :9])
-    wrong = held_at(retract(at, away * np.eye(6)[axis : axis + 1]))
+    wrong = track_at(retract(at, away * np.eye(6)[axis : axis + 1]))
     given = body(False), sight_of(at), few, TOLD, None, np.random.default_rng(1)
-    known = [off_deg(one.pose, at) for one in search(*given, shake=False, held=wrong).basins]
+    known = [off_deg(one.pose, at) for one in search(*given, shake=False, track=wrong).basins]
     assert min(known, default=180.0) > 20.0
-    assert off_deg(search(*given, shake=False, held=wrong, doubted=True).basins[0].pose, at) < 2.0
+    assert off_deg(search(*given, shake=False, track=replace(wrong, doubted=True)).basins[0].pose, at) < 2.0
 
 
 def test_a_sight_that_is_hardly_wider_is_not_looked_at():
