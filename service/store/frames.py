@@ -18,6 +18,12 @@ from service.store.tables import beliefs, estimates, events, frame_bodies, frame
 _BEFORE: BindParameter[int] = bindparam("before")
 _MINE: BindParameter[str] = bindparam("of_session")
 _EVERY: BindParameter[int] = bindparam("every")
+_NAMED = (frames.c.idx == bindparam("at")) | (frames.c.idempotency_key == bindparam("under"))  # of NULL: none
+_FIND = (
+    select(sessions.c.epoch.label("owned"), frames)
+    .select_from(sessions.outerjoin(frames, (frames.c.session_id == sessions.c.id) & _NAMED))
+    .where(sessions.c.id == _MINE)
+)
 _OLD_BODIES = delete(frame_bodies).where(frame_bodies.c.session_id == _MINE, frame_bodies.c.idx <= _BEFORE)
 _OLD_SETS = delete(particles).where(particles.c.session_id == _MINE, particles.c.idx <= _BEFORE)
 _OLD_SETS_BUT_SOME = _OLD_SETS.where(particles.c.idx % _EVERY != 0)
@@ -29,18 +35,7 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
     Returns the event's number. Raises ``StaleOwnerError`` unless ``record.epoch`` is the present owner's and
     ``record.index`` the next.
     """
-    row = session_queries.get(connection, record.session_id, hold=True)
-    session_queries.advance(
-        connection,
-        record.session_id,
-        record.epoch if row.next_index == record.index else -1,
-        next_index=record.index + 1,
-        next_seq=row.next_seq + 1,
-        status=record.status,
-        time_s=record.time_s,
-        time_given=record.time_given,
-        updated_at=record.created_at,
-    )
+    seq = session_queries.take_turn(connection, record)
     at = {"session_id": record.session_id, "idx": record.index}
     names = set(map(str, frames.c.keys())) - {"idx", CHECKSUM}
     values = {**at, **{name: getattr(record, name) for name in names}, "query": dict(record.query)}
@@ -52,9 +47,9 @@ def append(connection: Connection, record: FrameRecord, retention: Retention) ->
     if record.belief is not None:
         _put(connection, beliefs, {**at, "belief": record.belief})
     session_queries.put_contenders(connection, record.session_id, record.contenders)
-    _put(connection, events, {**at, "seq": row.next_seq, "kind": "estimate"})
+    _put(connection, events, {**at, "seq": seq, "kind": "estimate"})
     _forget(connection, record.session_id, record.index, retention)
-    return row.next_seq
+    return seq
 
 
 def _put(connection: Connection, table: Table, values: Mapping[str, Any]) -> None:
@@ -83,17 +78,15 @@ def find(
 
     Raises ``StaleOwnerError`` for an ``epoch`` that is not the present owner's.
     """
-    if epoch is not None:
-        session_queries.require_owner(connection, session_id, epoch)
-
-    def one(column: object, value: object) -> StoredFrame | None:
-        if value is None:
-            return None
-        query = select(frames).where(frames.c.session_id == session_id, column == value)  # type: ignore[arg-type]
-        row = connection.execute(query).first()
-        return None if row is None else StoredFrame(checked(frames, row).idx, row.sha256, row.idempotency_key)
-
-    return one(frames.c.idx, index), one(frames.c.idempotency_key, key)
+    rows = connection.execute(_FIND, {"of_session": session_id, "at": index, "under": key}).all()
+    if epoch is not None and (not rows or rows[0].owned != epoch):
+        raise session_queries.stale(session_id)
+    found = [
+        StoredFrame(checked(frames, row).idx, row.sha256, row.idempotency_key) for row in rows if row.idx is not None
+    ]
+    at_index = (one for one in found if one.index == index)
+    under_key = (one for one in found if key is not None and one.idempotency_key == key)
+    return next(at_index, None), next(under_key, None)
 
 
 def estimate(connection: Connection, session_id: SessionKey, index: int | None) -> bytes:

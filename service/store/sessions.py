@@ -7,17 +7,44 @@ from dataclasses import replace
 from typing import Any
 
 import orjson
-from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, bindparam, delete, func, insert, select, update
 
 from service.errors import DamagedError, NotFoundError, QuotaExceededError, StaleOwnerError
 from service.store import instances, models
-from service.store.base import NO_QUOTAS, BackgroundRecord, Page, Quotas, SessionRecord, SessionStamp, StoredContender
+from service.store.base import (
+    NO_QUOTAS,
+    BackgroundRecord,
+    FrameRecord,
+    Page,
+    Quotas,
+    SessionRecord,
+    SessionStamp,
+    StoredContender,
+)
 from service.store.instances import Instance
 from service.store.pages import page_of
 from service.store.scope import SessionKey, public_id
 from service.store.seal import checked, record_values, row_of, sealed
 from service.store.signals import Signal, alone, send
 from service.store.tables import backgrounds, contenders, estimates, frames, particles, sessions
+
+_TURN = (
+    update(sessions)
+    .where(
+        sessions.c.id == bindparam("its_session_id"),
+        sessions.c.epoch == bindparam("its_epoch"),
+        sessions.c.next_index == bindparam("its_index"),
+    )
+    .values(
+        next_index=sessions.c.next_index + 1,
+        next_seq=sessions.c.next_seq + 1,
+        status=bindparam("its_status"),
+        time_s=bindparam("its_time_s"),
+        time_given=bindparam("its_time_given"),
+        updated_at=bindparam("its_created_at"),
+    )
+    .returning(sessions.c.next_seq)
+)
 
 
 def add(connection: Connection, record: SessionRecord, quotas: Quotas = NO_QUOTAS) -> None:
@@ -113,12 +140,6 @@ def status_of(document: bytes) -> str | None:
     return found.get("status") if isinstance(found, dict) else None
 
 
-def require_owner(connection: Connection, session_id: SessionKey, epoch: int) -> None:
-    """Raises ``StaleOwnerError`` unless this is the epoch of the present owner."""
-    if connection.execute(select(sessions.c.epoch).where(sessions.c.id == session_id)).scalar() != epoch:
-        raise stale(session_id)
-
-
 def unknown(session_id: SessionKey) -> NotFoundError:
     """The error of a session that is not there."""
     return NotFoundError(f"no session {public_id(session_id)}", field="session_id")
@@ -189,6 +210,18 @@ def advance(connection: Connection, session_id: SessionKey, epoch: int, **values
     query = update(sessions).where(sessions.c.id == session_id, sessions.c.epoch == epoch).values(**values)
     if connection.execute(query).rowcount != 1:
         raise stale(session_id)
+
+
+def take_turn(connection: Connection, record: FrameRecord) -> int:
+    """The number of a frame's event; its session's row is this transaction's, and goes on to the next frame.
+
+    Raises ``StaleOwnerError`` unless ``record.epoch`` is the present owner's and ``record.index`` the next.
+    """
+    names = "session_id", "epoch", "index", "status", "time_s", "time_given", "created_at"
+    taken = connection.execute(_TURN, {f"its_{name}": getattr(record, name) for name in names}).scalar()
+    if taken is None:
+        raise stale(record.session_id)
+    return int(taken) - 1
 
 
 def find_background(connection: Connection, session_id: SessionKey, idempotency_key: str) -> tuple[str, int] | None:
