@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,16 +46,38 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     ahead = None if before is None else predict(before, noise, dt_s)
     found = propose(rng, before, ahead, given)
-    hill, nuisance = ground(before, ahead, found, given)
-    if hill is None or (ahead is None and not (found and found.basins)):
+    judged = judge(before, ahead, found, noise, given)
+    if judged is not None and before is None and found is not None and is_doubted(judged.after):
+        once_more = looked(rng, Track(as_candidates(found), doubted=True), given, shake=True)
+        judged = judge(before, ahead, once_more, noise, given) or judged
+    if judged is None:
         return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
-    gone = before is not None and bool(before.existence[existence.ABSENT] >= 0.5)
-    refined = update(ahead, hill, given.domain.wrapping, far=found is not None or gone)
-    updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
-    after = prune(updated, before, found, given, hill)
+    updated, after, hill = judged.updated, judged.after, judged.hill
     if ahead is not None and before is not None and after.existence[existence.ABSENT] >= 0.5:
         after = waiting(after, ahead, before)
     return concluded(rng, after, updated, hill, given)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What is left after a frame."""
+
+    updated: Updated
+    after: Mixture
+    hill: Hill
+
+
+def judge(
+    before: Mixture | None, ahead: Predicted | None, found: Found | None, noise: MotionNoise, given: Given
+) -> Judged | None:
+    """Update, weigh and prune what was followed and what a search found; None: there is nothing of either."""
+    hill, nuisance = ground(before, ahead, found, given)
+    if hill is None or (ahead is None and not (found and found.basins)):
+        return None
+    gone = before is not None and bool(before.existence[existence.ABSENT] >= 0.5)
+    refined = update(ahead, hill, given.domain.wrapping, far=found is not None or gone)
+    updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
+    return Judged(updated, prune(updated, before, found, given, hill), hill)
 
 
 def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
@@ -94,20 +116,37 @@ def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
 
 def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted | None, given: Given) -> Found | None:
     """What a search of the whole space finds; None where none is due."""
-    if not search_due(before) or given.frame.sight is None:
+    if not search_due(before):
+        return None
+
+    track = None
+    if before is not None and ahead is not None:
+        track = Track(Candidates(ahead.poses, ahead.suns, ahead.log_weights), is_doubted(before))
+    shake = before is not None and before.searches == 1  # what leads, once
+    return looked(None if before is None else rng, track, given, shake)
+
+
+def looked(rng: np.random.Generator | None, track: Track | None, given: Given, shake: bool) -> Found | None:
+    """A search of the frame, beside a track where there is one; None where nothing shows."""
+    if given.frame.sight is None:
         return None
 
     def alike(poses: Poses) -> Poses:
         return given.domain.wrap(concatenate(*[twin(poses, symmetry) for symmetry in given.twins]))
 
-    moved, equivalents = None if before is None else rng, alike if given.twins else None
     look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
-    track = None
-    if before is not None and ahead is not None:
-        doubted = bool(told_existence(before)[existence.NO_FIT] >= 0.5)
-        track = Track(Candidates(ahead.poses, ahead.suns, ahead.log_weights), doubted)
-    shake = before is not None and before.searches == 1  # what leads, once
-    return search(*look, moved, equivalents, shake=shake, track=track)
+    return search(*look, rng, alike if given.twins else None, shake=shake, track=track)
+
+
+def as_candidates(found: Found) -> Candidates:
+    """The basins of a search, for another."""
+    poses, suns = concatenate(*[one.pose for one in found.basins]), np.stack([one.sun for one in found.basins])
+    return Candidates(poses, suns, np.array([one.log_posterior for one in found.basins]))
+
+
+def is_doubted(mixture: Mixture) -> bool:
+    """Whether the light that is seen is rather something else's, or the truth is not among the modes."""
+    return bool(told_existence(mixture)[existence.NO_FIT] >= 0.5)
 
 
 def search_due(before: Mixture | None) -> bool:
@@ -116,7 +155,7 @@ def search_due(before: Mixture | None) -> bool:
         return True
     if before.existence[existence.ABSENT] >= 0.5:  # what comes back is within reach of its prediction, as a rule
         return before.since_search > 0
-    if before.searches < _EAGER + before.misses or told_existence(before)[existence.NO_FIT] >= 0.5:
+    if before.searches < _EAGER + before.misses or is_doubted(before):
         return before.since_search + 1 >= _RARER
     return bool(before.since_search + 1 >= min(_RARER ** (before.searches - _EAGER + 1), _RAREST))
 

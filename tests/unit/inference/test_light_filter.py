@@ -12,6 +12,7 @@ from lit_body import QUALITY, SUN, lit_body, shares
 
 from service.imaging.patch import Light
 from service.inference.domain import Domain
+from service.inference.filters import mixture as filtering
 from service.inference.filters.answer import drawn
 from service.inference.filters.given import Given
 from service.inference.filters.mixture import is_another, search_due, step
@@ -22,7 +23,7 @@ from service.inference.model import search as searching
 from service.inference.model.drawing import Lens, View
 from service.inference.model.existence import of_this_body, usual_chi2
 from service.inference.model.paint import unlearnt
-from service.inference.model.search import make_bank
+from service.inference.model.search import make_bank, search
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import Body
 from service.inference.motion import motion_noise
@@ -153,7 +154,7 @@ def test_an_empty_sky_from_the_start_is_no_target():
     assert advance(state, frame(1), 1)[1].status == "tracking"
 
 
-def test_another_body_does_not_fit():
+def test_another_body_does_not_fit(monkeypatch):
     """Bright all over, where the model can only be bright where the Sun is."""
     at = np.arange(SIZE)
     blob = (
@@ -162,13 +163,20 @@ def test_another_body_does_not_fit():
         * ((np.abs(at - 70)[:, None] < 24) & (np.abs(at - 75)[None] < 40))
     )
     checks = blob * (1 + np.sign(np.sin(at / 3.0)[:, None] * np.sin(at / 4.0)[None])) / 2
-    state, statuses = None, []
+    state, statuses, looks = None, [], []
+    monkeypatch.setattr(filtering, "search", lambda *look, **how: looks.append(how) or search(*look, **how))
+    advance(None, frame(0), 0)
+    assert len(looks) == 1  # a body that fits is searched once
+    looks.clear()
     for k in range(4):
         noise = np.random.default_rng(k).normal(0, SIGMA, (SIZE, SIZE))
         state, estimate = advance(
             state, Drawn(spread(checks[None].astype(np.float32), PointSpread(1.3), 0.0)[0] + noise), k
         )
         statuses.append(estimate.status)
+        if k == 0:  # and once more in its first frame, about what was met, where nothing fits
+            assert statuses == ["no_fit"] and len(looks) == 2
+            assert looks[1]["track"].doubted and looks[1]["shake"]
     assert statuses[-1] in ("no_fit", "ambiguous", "acquiring")
 
 
