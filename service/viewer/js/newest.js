@@ -9,13 +9,16 @@ export class Newest {
     this.waiting = value;
     if (this.busy) return;
     this.busy = true;
-    while (this.waiting) {
-      const next = this.waiting;
-      this.waiting = null;
-      await this.handle(next);
-      if (this.restMs) await new Promise((done) => setTimeout(done, this.restMs));
+    try {
+      while (this.waiting) {
+        const next = this.waiting;
+        this.waiting = null;
+        await this.handle(next);
+        if (this.restMs) await new Promise((done) => setTimeout(done, this.restMs));
+      }
+    } finally {
+      this.busy = false; // after a failure too: the next value is handled
     }
-    this.busy = false;
   }
 
   forget() {
