@@ -43,7 +43,10 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
     """Opens pages of one width; at the end none may have logged an error or asked another host for anything."""
     contexts, problems = [], []
 
-    def make(url: str, width: int = 1280, height: int = 800, expect_failures: bool = False) -> Page:
+    def make(
+        url: str, width: int = 1280, height: int = 800, expect_failures: bool = False, hold: str | None = None
+    ) -> Page:
+        """``hold``: requests like this wait in ``page.held``; laid later, a route may lose what is under way."""
         context = browser.new_context(viewport={"width": width, "height": height}, accept_downloads=True)
         contexts.append(context)
         page = context.new_page()
@@ -58,6 +61,9 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
         page.on("pageerror", note)
         page.on("request", lambda r: None if is_here(r.url, url) else problems.append(f"asked {r.url}"))
         page.on("websocket", lambda w: None if is_here(w.url, url) else problems.append(f"asked {w.url}"))
+        page.held = []
+        if hold is not None:
+            page.route(hold, lambda route: page.held.append(route))  # Playwright takes no method of a list
         page.goto(url)
         return page
 

@@ -150,29 +150,25 @@ def test_keyboard(server, sessions, open_page):
 
 def test_the_models_image_is_that_of_the_frame_asked_for(server, sessions, open_page):
     """Also where the frame's own picture is still on its way."""
-    page = open_page(f"{server.url}/#{sessions[0]}")
-    picture_shows(page, FRAMES - 1)  # a request under way while the route is laid may never be answered
-    held = []
-    page.route("**/estimates/0/frame.png", lambda route: held.append(route))  # not answered yet
+    page = open_page(f"{server.url}/#{sessions[0]}", hold="**/estimates/0/frame.png")
+    picture_shows(page, FRAMES - 1)
     with page.expect_request("**/estimates/0/frame.png"):
         page.keyboard.press("Home")
     with page.expect_response("**/estimates/0/model.png"), page.expect_response("**/estimates/0/residual.png"):
         page.keyboard.press("d")
-    for route in held:
+    for route in page.held:
         route.continue_()
     picture_shows(page, 0)
 
 
 def test_a_models_image_that_takes_its_time_says_so(server, sessions, open_page):
-    page = open_page(f"{server.url}/#{sessions[0]}")
+    page = open_page(f"{server.url}/#{sessions[0]}", hold="**/model.png")
     picture_shows(page, FRAMES - 1)
-    held = []
-    page.route("**/model.png", lambda route: held.append(route))
     with page.expect_request("**/model.png"):
         page.keyboard.press("d")
     note = page.locator("#frame .stage.beside .note").first
     expect(note).to_have_text("being made…")
-    for route in held:
+    for route in page.held:
         route.continue_()
     expect(note).not_to_have_text("being made…")
 
