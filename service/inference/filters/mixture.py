@@ -118,7 +118,6 @@ def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted |
     """What a search of the whole space finds; None where none is due."""
     if not search_due(before):
         return None
-
     track = None
     if before is not None and ahead is not None:
         track = Track(Candidates(ahead.poses, ahead.suns, ahead.log_weights), is_doubted(before))

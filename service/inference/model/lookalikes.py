@@ -10,15 +10,15 @@ import numpy as np
 
 from service.inference.model.candidates import Candidates, climbed, scored
 from service.inference.model.stages import SHARP
-from service.inference.numerics.gauss_newton import within
+from service.inference.numerics.gauss_newton import stepped
 from service.inference.numerics.hill import Hill
-from service.inference.pose import concatenate, retract
+from service.inference.pose import concatenate
 from service.inference.state import Poses
 from service.inference.symmetry import Symmetry, twin
 
 # numerical: poses about a leader that does not fit, how far each axis, steps; place (radii) and log scale
 _SCATTERED, _SCATTERED_RAD, _SCATTERED_STEPS, _SCATTERED_PLACE = 32, 0.15, 5, 0.015
-_BOXED = 4  # numerical: of them, that climb
+_CLIMBING = 4  # numerical: of the images of a box, the best that climb
 BETWEEN_JOINTS = 0.06  # numerical: of a joint's range, about half of what lies between the values of a bank
 _SIGNS = tuple(itertools.product((1.0, -1.0), repeat=3))[1:]  # of a box's own axes: what maps it onto itself
 _AWAY = np.array([1.0, 1.0, -1.0])  # exact: a Sun in front, seen behind
@@ -42,7 +42,7 @@ def boxed(hill: Hill, some: Candidates) -> Candidates:
         poses.append(twin(some.poses, Symmetry(((x, 0.0, 0.0), (0.0, y, 0.0), (0.0, 0.0, z)), (0.0,) * 3, still, same)))
         suns.append(some.suns * _AWAY if x * y * z < 0 and hill.told.towards_sun is None else some.suns)
     alike = Candidates(concatenate(*poses), np.concatenate(suns), np.zeros(len(_SIGNS) * len(some.poses)))
-    return climbed(hill, scored(hill, alike), replace(SHARP, kept=_BOXED))
+    return climbed(hill, scored(hill, alike), replace(SHARP, kept=_CLIMBING))
 
 
 def scattered(rng: np.random.Generator, hill: Hill, one: Candidates) -> Candidates:
@@ -54,7 +54,6 @@ def scattered(rng: np.random.Generator, hill: Hill, one: Candidates) -> Candidat
     steps[:, 5] *= _SCATTERED_PLACE
     steps[:, 6:] *= BETWEEN_JOINTS * hill.drawing.articulation.spans
     at = np.zeros(_SCATTERED, np.intp)
-    moved = retract(one.poses[at], steps)
-    moved = replace(moved, joints=within(hill.drawing, moved.joints))
+    moved = stepped(hill.drawing, one.poses[at], steps)
     about = Candidates(moved, one.suns[at], np.zeros(_SCATTERED))
     return climbed(hill, about, replace(SHARP, kept=_SCATTERED, steps=_SCATTERED_STEPS))

@@ -38,17 +38,17 @@ from service.inference.model.stages import (
 )
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.model.templates import Bank, directions
-from service.inference.numerics.gauss_newton import ascend, within
+from service.inference.numerics.gauss_newton import ascend, stepped
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import concatenate, retract
+from service.inference.pose import concatenate
 from service.inference.state import Poses
 
 BANK_SIZE = 4500  # numerical: rotations 12 degrees apart; as many again for each joint, three times at the most
 # numerical: about half a step of the bank's, each axis
 _BETWEEN_RAD, _BETWEEN_SCALES = 0.07, 0.06
 _MIRRORED = 3  # numerical: of the best, whose symmetry-equivalents are looked at
-_BOXED = 2  # numerical: of the best, whose lookalikes were the body a box are looked at
+_BOXED = 2  # numerical: of the best, whose images were the body a box are looked at
 _WIDER = 1.3  # numerical: so much more must a wider sight span
 _BEHIND = 40.0  # numerical: nats behind the best at the sharp stage: of 52 frames the truth was 21 at the most
 _LIT_SHARE = 0.65  # numerical: of a body's diameter that shows light, as a rule: how far a patch reaches
@@ -176,8 +176,7 @@ def jittered(
     steps[:, 5] = _BETWEEN_SCALES * rng.standard_normal(len(steps))
     spans = drawing.articulation.spans
     steps[:, 6:] = BETWEEN_JOINTS * spans * rng.standard_normal((len(steps), len(spans)))
-    moved = retract(some.poses, steps)
-    moved = replace(moved, joints=within(drawing, moved.joints))
+    moved = stepped(drawing, some.poses, steps)
     return replace(some, poses=moved if tracking is None else tracking.pointed(moved, some.suns))
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from service.inference.model.candidates import Candidates, distinct, joined, scored, searched_joints
 from service.inference.model.stages import FINEST
-from service.inference.numerics.gauss_newton import ascend, within
+from service.inference.numerics.gauss_newton import ascend, stepped
 from service.inference.numerics.hill import Hill, Refined
-from service.inference.pose import concatenate, retract
+from service.inference.pose import concatenate
 from service.inference.state import Array
 
 SAME_DEG = 2.0  # numerical: after refinement
@@ -74,6 +72,5 @@ def apart(one: Refined, other: Refined) -> bool:
 def around(hill: Hill, one: Refined, steps: Array) -> Candidates:
     """A pose's neighbours, best first."""
     start = one.pose[np.zeros(len(steps), dtype=np.intp)]
-    moved = retract(start, steps)
-    moved = replace(moved, joints=within(hill.drawing, moved.joints))
+    moved = stepped(hill.drawing, start, steps)
     return scored(hill, Candidates(moved, np.tile(one.sun, (len(steps), 1)), np.zeros(len(steps))))

@@ -233,12 +233,17 @@ def _damping(hill: Hill, poses: Poses) -> Array:
 def _moved(poses: Poses, suns: Array, moves: Array, hill: Hill) -> tuple[Poses, Array]:
     """Poses and Suns after their steps, joints kept in range."""
     d = 6 + poses.joints.shape[1]
-    moved = retract(poses, moves[:, :d])
-    moved = Poses(moved.quaternion, moved.position, moved.log_scale, within(hill.drawing, moved.joints))
+    moved = stepped(hill.drawing, poses, moves[:, :d])
     if not hill.sun_free:
         return moved, suns.copy()
     turned = np.stack([sun + move[d:] @ across(sun) for sun, move in zip(suns, moves, strict=True)])
     return moved, turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def stepped(drawing: Drawing, poses: Poses, steps: Array) -> Poses:
+    """Poses moved by steps (N, 6 + J) of their tangent space, joints brought back into their range."""
+    moved = retract(poses, steps)
+    return Poses(moved.quaternion, moved.position, moved.log_scale, within(drawing, moved.joints))
 
 
 def within(drawing: Drawing, joints: Array) -> Array:
