@@ -1,5 +1,6 @@
 """A headless Chromium at a real server. Every page must load all of itself from that server and log no error."""
 
+import re
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -9,7 +10,7 @@ from urllib.parse import urlsplit
 import pytest
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "e2e"))
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
 from server_process import Server
 
 expect.set_options(timeout=300_000)
@@ -44,9 +45,17 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
     contexts, problems = [], []
 
     def make(
-        url: str, width: int = 1280, height: int = 800, expect_failures: bool = False, hold: str | None = None
+        url: str,
+        width: int = 1280,
+        height: int = 800,
+        expect_failures: bool = False,
+        hold: str | re.Pattern[str] | None = None,
+        between: Callable[[WebSocketRoute], None] | None = None,
     ) -> Page:
-        """``hold``: requests like this wait in ``page.held``; laid later, a route may lose what is under way."""
+        """``hold``: requests like this wait in ``page.held``. ``between``: is given every stream the page opens.
+
+        Both are laid before the page opens: laid later, a route may lose what is under way.
+        """
         context = browser.new_context(viewport={"width": width, "height": height}, accept_downloads=True)
         contexts.append(context)
         page = context.new_page()
@@ -64,6 +73,8 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
         page.held = []
         if hold is not None:
             page.route(hold, lambda route: page.held.append(route))  # Playwright takes no method of a list
+        if between is not None:
+            page.route_web_socket("**/stream*", between)
         page.goto(url)
         return page
 
