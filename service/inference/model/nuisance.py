@@ -12,8 +12,8 @@ from service.inference.model.spread import PointSpread
 from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Poses
 
-_CORES = tuple(float(v) for v in 0.4 * 10 ** (np.arange(20) / 11))  # numerical: grid, to 21 px of the frame: enlarged
-_WINGS = (0.0, 0.4, 0.8, 1.3, 2.0, 3.0)  # numerical: grid, px of the frame
+_WIDTHS = tuple(float(v) for v in 0.4 * 10 ** (np.arange(20) / 11))  # numerical: grid, to 21 px of the frame: enlarged
+_SHARES = (0.0, 0.25, 0.5, 0.7, 0.85, 0.95)  # numerical: grid: of the width's square that is the wings'
 # numerical: grid, two standard deviations of its log either way
 _DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in np.linspace(-1.4, 1.4, 13))
 _PHOTON_STEP = 1.41  # numerical: half a standard deviation of its log
@@ -48,26 +48,28 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
     scale = hill.view.binning
 
     def values(places: list[tuple[int, int]]) -> list[float]:
-        spreads = [PointSpread(_CORES[core] / scale, _WINGS[wings] / scale) for core, wings in places]
-        found = hill.log_evidences_under(planes, [(hill.scene.under(point_spread=one), None) for one in spreads])
-        before = [_log_prior(_CORES[core], _WINGS[wings]) for core, wings in places]
-        return [float(value) for value in found.max(axis=1) + before]
+        spreads = [PointSpread.of(_WIDTHS[width], _SHARES[share]) for width, share in places]
+        scenes = [hill.scene.under(point_spread=PointSpread(one.core / scale, one.wings / scale)) for one in spreads]
+        found = hill.log_evidences_under(planes, [(scene, None) for scene in scenes])
+        return [float(value) for value in found.max(axis=1) + [_log_prior(one.core, one.wings) for one in spreads]]
 
+    now = start.point_spread(1)
     here = (
-        int(np.argmin(np.abs(np.log(np.array(_CORES) / start.core)))),
-        int(np.argmin(np.abs(np.array(_WINGS) - start.wings))),
+        int(np.argmin(np.abs(np.log(np.array(_WIDTHS) / now.width)))),
+        int(np.argmin(np.abs(np.array(_SHARES) - now.share))),
     )
     seen = {here: values([here])[0]}
     while len(seen) < _LOOKS:
         near = [(here[0] + a, here[1] + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1))]
-        near = [at for at in near if at not in seen and 0 <= at[0] < len(_CORES) and 0 <= at[1] < len(_WINGS)]
+        near = [at for at in near if at not in seen and 0 <= at[0] < len(_WIDTHS) and 0 <= at[1] < len(_SHARES)]
         if near:
             seen.update(zip(near, values(near), strict=True))
         best = max(seen, key=lambda at: seen[at])
         if best == here:
             break
         here = best
-    return replace(start, core=_CORES[here[0]], wings=_WINGS[here[1]])
+    there = PointSpread.of(_WIDTHS[here[0]], _SHARES[here[1]])
+    return replace(start, core=there.core, wings=there.wings)
 
 
 def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
@@ -94,9 +96,12 @@ def neighbour(now: Nuisance, turn: int) -> Nuisance:
         return replace(now, photon=now.photon * (_PHOTON_STEP if turn % 8 == 3 else 1 / _PHOTON_STEP))
     if turn % 4 == 2:
         return replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn // 4))
+    spread = now.point_spread(1)
     if turn % 4 == 1:
-        return replace(now, wings=_neighbour(_WINGS, now.wings, turn // 4))
-    return replace(now, core=_neighbour(_CORES, now.core, turn // 4))
+        there = PointSpread.of(spread.width, _neighbour(_SHARES, spread.share, turn // 4))
+    else:
+        there = PointSpread.of(_neighbour(_WIDTHS, spread.width, turn // 4), spread.share)
+    return replace(now, core=there.core, wings=there.wings)
 
 
 def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:

@@ -25,7 +25,8 @@ PHOTON_UNSURE = 1.5  # a factor within which the transfer is known once a body i
 EDGE_PX = 2.0  # discrepancy of places: mesh and mean pose are so far from right, in units of tau
 POSE_DEGREES_OF_FREEDOM = 4.0  # of a pose: c tau^2 is known to a factor of two, a variance so known gives a Student t
 CHI2_DEGREES_OF_FREEDOM = 4.0  # that a frame's mean square of what is left over adds: it is alike all over a body
-LOW_PASS_SHARE = 0.7  # the frame's own low pass, as a share of the point spread's width
+LOW_PASS_SHARE = 0.35  # the frame's own low pass, as a share of the point spread's width: what is finer is speckle of
+# the air that has no place in K: the truth of three turbulent passes wins by most there (0.2 to 0.7 tried)
 DEGREES_OF_FREEDOM = 4.0  # of the Student t of a pixel
 EXISTENCE = (0.1, 0.8, 0.1)  # absent, fits, no_fit, before anything is known
 CHANGES_PER_S = 0.05  # of existence, per second

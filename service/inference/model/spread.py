@@ -20,6 +20,8 @@ Images = NDArray[np.float32]
 # numerical: three Gaussians that hold the law of index 5/3 to 0.4 %
 MIXTURE_WEIGHTS = (0.6246, 0.3227, 0.0527)
 MIXTURE_WIDTHS = (1.164, 1.936, 5.691)
+# exact: mean square width of the two inner ones, in units of w^2
+_INNER = MIXTURE_WEIGHTS[0] * MIXTURE_WIDTHS[0] ** 2 + MIXTURE_WEIGHTS[1] * MIXTURE_WIDTHS[1] ** 2
 _REACH = 5.5  # numerical: sigmas of a Gaussian that are summed: beyond lies less than a float32's rounding
 # numerical: of a Gaussian's height: products below a float32's exponents take 30 times as long
 _LEAST = 1e-12
@@ -40,11 +42,20 @@ class PointSpread:
         widths = [float(np.sqrt(core + (m * self.wings) ** 2)) for m in MIXTURE_WIDTHS]
         return tuple(zip(MIXTURE_WEIGHTS, widths, strict=True))
 
+    @classmethod
+    def of(cls, width: float, share: float) -> PointSpread:
+        """That of a width of whose square the wings have a share."""
+        return cls(width * sqrt(1.0 - share), width * sqrt(share / _INNER))
+
     @property
     def width(self) -> float:
         """Root of the mean square width of its two inner Gaussians: what a pixel step is measured by, px."""
-        inner = MIXTURE_WEIGHTS[0] * MIXTURE_WIDTHS[0] ** 2 + MIXTURE_WEIGHTS[1] * MIXTURE_WIDTHS[1] ** 2
-        return float(np.sqrt(self.core**2 + inner * self.wings**2))
+        return sqrt(self.core**2 + _INNER * self.wings**2)
+
+    @property
+    def share(self) -> float:
+        """Of the width's square: the wings'."""
+        return _INNER * self.wings**2 / self.width**2
 
 
 def spread(images: Images, point_spread: PointSpread, low_pass: float) -> Images:

@@ -128,8 +128,8 @@ SHARP = Stage(44, 0.8, 10, 2, 0.6, Quality(3, 192), Trust())
 CLEAR = Stage(64, 1.2, 8, 6, 0.7, Quality(4, 256), Trust())  # the whole body, with speckle, still smooth
 FINEST = Stage(96, 0.7, 5, 6, 0.5, FINE, Trust())
 COARSE_ROUNDS = 4  # numerical: of reweighting
-# numerical: patch px in a point spread's width: what is left out by fewer is below 0.1 % of its light
-SAMPLED = 1.25
+# numerical: patch px in a point spread's width: speckle of a short exposure is finer than that width
+SAMPLED = 2.5
 
 
 def stage_hill(

@@ -7,6 +7,7 @@ import pytest
 from lit_body import QUALITY, SUN, VIEW, lit_body, pose, scene, seen, shares
 
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_photon, best_spread
+from service.inference.model.spread import PointSpread
 from service.inference.numerics.hill import Hill
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate, retract
@@ -35,6 +36,15 @@ def test_the_point_spread_is_found_from_either_side(core, wings, first):
     wanted = Nuisance(core, wings)
     assert found.point_spread(1.0).width == pytest.approx(wanted.point_spread(1.0).width, rel=0.2)
     assert found.discrepancy == start.discrepancy
+
+
+def test_turbulence_is_met_from_a_core_that_is_as_wide():
+    """A valley: with a little less core, or a little more of wings, either by itself, the width is lost first."""
+    wide = PointSpread(0.8, 2.0)
+    start = Nuisance(wide.width, 0.0, 0.01)
+    image = seen(pose(), shares(lit_body(), 900.0), core=wide.core, wings=wide.wings)
+    found = best_spread(hill(image, start, discrepancy=0.01), pose(), SUN[None], start).point_spread(1.0)
+    assert found.share > 0.6 and found.width == pytest.approx(wide.width, rel=0.2)
 
 
 def test_the_point_spread_of_an_enlarged_image_is_found():

@@ -88,6 +88,12 @@ def test_the_width_grows_with_core_and_wings():
     assert PointSpread(2.6, 2.0).width == pytest.approx(2 * PointSpread(1.3, 1.0).width)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.95])
+def test_a_width_and_the_wings_share_of_it_are_a_point_spread(share):
+    found = PointSpread.of(1.7, share)
+    assert found.width == pytest.approx(1.7) and found.share == pytest.approx(share)
+
+
 def test_slopes_are_differences_and_none_at_the_border():
     across, down = np.meshgrid(np.arange(12.0), np.arange(12.0))
     dx, dy = gradient((3 * across - 2 * down + across**2).astype(np.float32)[None])
