@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from service.inference.domain import Domain
 from service.inference.model import existence
+from service.inference.model.spread import PointSpread
 from service.inference.pose import angle_between
 from service.inference.state import Array, Mixture, Poses
 from service.inference.symmetry import Symmetry, twin
@@ -21,7 +22,8 @@ def told_existence(mixture: Mixture) -> Array:
     """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body."""
     absent, fits, no_fit = mixture.existence
     met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    kept = fits * met * existence.of_this_body(mixture.discrepancy)
+    across = mixture.span_px / PointSpread(*mixture.point_spread).width
+    kept = fits * met * existence.of_this_body(mixture.discrepancy, across)
     return np.array([absent, kept, no_fit + fits - kept])
 
 

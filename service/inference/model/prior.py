@@ -25,8 +25,8 @@ PHOTON_UNSURE = 1.5  # a factor within which the transfer is known once a body i
 EDGE_PX = 2.0  # discrepancy of places: mesh and mean pose are so far from right, in units of tau
 POSE_DEGREES_OF_FREEDOM = 4.0  # of a pose: c tau^2 is known to a factor of two, a variance so known gives a Student t
 CHI2_DEGREES_OF_FREEDOM = 4.0  # that a frame's mean square of what is left over adds: it is alike all over a body
-LOW_PASS_SHARE = 0.35  # the frame's own low pass, as a share of the point spread's width: what is finer is speckle of
-# the air that has no place in K: the truth of three turbulent passes wins by most there (0.2 to 0.7 tried)
+LOW_PASS_SHARE = 0.5  # the frame's own low pass, as a share of the point spread's width: what is finer is speckle of
+# the air that has no place in K: 0.35 decides no more turbulent passes, and takes more wrong meshes for right
 DEGREES_OF_FREEDOM = 4.0  # of the Student t of a pixel
 EXISTENCE = (0.1, 0.8, 0.1)  # absent, fits, no_fit, before anything is known
 CHANGES_PER_S = 0.05  # of existence, per second
@@ -34,7 +34,9 @@ LOG_CHI2 = (0.1, 1.0)  # mean, sigma from body to body of the level of log chi2
 LOG_CHI2_JITTER, LOG_CHI2_DRIFT = 0.35, 0.1  # from frame to frame of one body about its level, and of that level
 LOG_CHI2_DISTURBED = (2.0, 1.5)  # above its level, when a cloud or a mirror changes what is seen of a body
 DISCREPANCY_OWN, DISCREPANCY_OWN_LOG_SIGMA = 0.005, 0.7  # tau under a body's own mesh: its least, or above it
-DISCREPANCY_UNLIKE = 0.05, 0.38  # of another's light that a mesh seems to fit: log-normal, median and log sigma
+DISCREPANCY_UNLIKE = 0.055, 0.5  # of another's light that a mesh seems to fit: log-normal, median and log sigma
+UNLIKE_ACROSS, UNLIKE_SLOPE = 34.0, (1.0, 0.75)  # that log falls by 1 +- 0.75 per log of the light's extent in widths
+# of the point spread, below 34 of them: of 49 passes followed with another mesh, a third of them in turbulence
 UNLIKE = 0.3  # tau of light that another body throws
 SEARCH_WEIGHT = 2.5  # searches that what is known of the share of them that meet the truth is worth, from body to body
 SEARCH_HALF = 170.0  # nats of a body against the empty sky with which half of them do: of 162 frames looked at alone,

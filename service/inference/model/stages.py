@@ -129,7 +129,7 @@ CLEAR = Stage(64, 1.2, 8, 6, 0.7, Quality(4, 256), Trust())  # the whole body, w
 FINEST = Stage(96, 0.7, 5, 6, 0.5, FINE, Trust())
 COARSE_ROUNDS = 4  # numerical: of reweighting
 # numerical: patch px in a point spread's width: speckle of a short exposure is finer than that width
-SAMPLED = 2.5
+SAMPLED = 1.8
 
 
 def stage_hill(
