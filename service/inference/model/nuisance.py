@@ -34,6 +34,11 @@ class Nuisance:
         """On a patch of squares of so many px."""
         return PointSpread(self.core / binning, self.wings / binning)
 
+    def spread_by(self, width: float, share: float) -> Nuisance:
+        """The same with a point spread of such a width (px of the frame), of whose square the wings have a share."""
+        spread = PointSpread.of(width, share)
+        return replace(self, core=spread.core, wings=spread.wings)
+
     def photon_on(self, binning: float) -> float | None:
         """Variance per count on the same; None: as the frame has it."""
         return None if self.photon is None else self.photon / binning**2
@@ -45,13 +50,12 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
     The frame's own low pass stays what the hill has: all are compared on the same data.
     """
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
-    scale = hill.view.binning
 
     def values(places: list[tuple[int, int]]) -> list[float]:
-        spreads = [PointSpread.of(_WIDTHS[width], _SHARES[share]) for width, share in places]
-        scenes = [hill.scene.under(point_spread=PointSpread(one.core / scale, one.wings / scale)) for one in spreads]
+        tried = [start.spread_by(_WIDTHS[width], _SHARES[share]) for width, share in places]
+        scenes = [hill.scene.under(point_spread=one.point_spread(hill.view.binning)) for one in tried]
         found = hill.log_evidences_under(planes, [(scene, None) for scene in scenes])
-        return [float(value) for value in found.max(axis=1) + [_log_prior(one.core, one.wings) for one in spreads]]
+        return [float(value) for value in found.max(axis=1) + [_log_prior(one.core, one.wings) for one in tried]]
 
     now = start.point_spread(1)
     here = (
@@ -68,8 +72,7 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
         if best == here:
             break
         here = best
-    there = PointSpread.of(_WIDTHS[here[0]], _SHARES[here[1]])
-    return replace(start, core=there.core, wings=there.wings)
+    return start.spread_by(_WIDTHS[here[0]], _SHARES[here[1]])
 
 
 def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
@@ -98,10 +101,8 @@ def neighbour(now: Nuisance, turn: int) -> Nuisance:
         return replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn // 4))
     spread = now.point_spread(1)
     if turn % 4 == 1:
-        there = PointSpread.of(spread.width, _neighbour(_SHARES, spread.share, turn // 4))
-    else:
-        there = PointSpread.of(_neighbour(_WIDTHS, spread.width, turn // 4), spread.share)
-    return replace(now, core=there.core, wings=there.wings)
+        return now.spread_by(spread.width, _neighbour(_SHARES, spread.share, turn // 4))
+    return now.spread_by(_neighbour(_WIDTHS, spread.width, turn // 4), spread.share)
 
 
 def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:

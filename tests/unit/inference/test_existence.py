@@ -19,7 +19,7 @@ from service.inference.numerics.priors import PosePrior
 from service.inference.pose import retract
 from service.inference.state import FilterState, Poses
 
-FRAMES = 120
+FRAMES = 240
 ODDS = np.array([0.5, 0.5 - 1e-9, 1e-9])  # absent, fits, no_fit
 WIDE = np.array([0.1, 0.1, 0.1, 1.6, 1.6, 0.05])  # what is known of the pose ahead of the frame
 
@@ -63,7 +63,7 @@ def test_what_is_told_of_a_faint_body_is_so_often_true():
     there, fits = rows[:, 0] > 0, rows[:, 1]
     sure, doubted, unsure = fits >= 0.9, fits < 0.1, (fits >= 0.1) & (fits < 0.9)
     assert there[sure].mean() >= 0.95 and sure.sum() > 60
-    assert there[doubted].mean() <= 0.18 and doubted.sum() > 100  # 0.12 in 720 frames
+    assert there[doubted].mean() <= 0.15 and doubted.sum() > 100
     assert unsure.sum() > 5
     assert -0.15 < fits.mean() - there.mean() < 0.05  # told with some modesty: a spread is that of a Student t
 
