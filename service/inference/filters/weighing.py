@@ -13,7 +13,7 @@ from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import turned_alike
 from service.inference.model.dynamics import corrected, new_born
-from service.inference.model.nuisance import Nuisance, log_prior, neighbour, scene_under
+from service.inference.model.nuisance import Nuisance, lets_through, log_prior, neighbour, scene_under
 from service.inference.model.search import Found
 from service.inference.model.stages import FINEST
 from service.inference.motion import MotionNoise
@@ -83,6 +83,7 @@ def weigh(
     probabilities = hypotheses(best, (absent, afresh, unlike), nuisance, light, known, ahead, before)
     fits = float(probabilities[existence.FITS])
     better = elsewhere + log_prior(other, hill) > best.one.fit.log_evidence + log_prior(nuisance, hill)
+    better = better and lets_through(hill, other)
     return Updated(
         refined=[mode.one for mode in modes],
         rates=np.array([mode.rates for mode in modes]),

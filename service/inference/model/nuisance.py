@@ -14,8 +14,9 @@ from service.inference.state import Array, Poses
 
 _WIDTHS = tuple(float(v) for v in 0.4 * 10 ** (np.arange(20) / 11))  # numerical: grid, to 21 px of the frame: enlarged
 _SHARES = (0.0, 0.25, 0.5, 0.7, 0.85, 0.95)  # numerical: grid: of the width's square that is the wings'
-# numerical: grid, two standard deviations of its log either way
-_DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in np.linspace(-1.4, 1.4, 13))
+# numerical: grid, two standard deviations of its log either way, and in wider steps what a wrong mesh may ask for
+_LOGS = (*np.linspace(-1.4, 1.4, 13), 1.75, 2.1, 2.45, 2.8)
+_DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in _LOGS)
 _PHOTON_STEP = 1.41  # numerical: half a standard deviation of its log
 _PHOTONS = tuple(float(_PHOTON_STEP**k) for k in range(-6, 3))  # numerical: grid, of what the frame's checkerboard has
 _LOOKS = 24  # numerical: grids are searched from where one stands: no more than this
@@ -47,6 +48,7 @@ class Nuisance:
 def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
     """The point spread under which a few poses explain the frame best, by steps over a grid.
 
+    None through which the frame's own sharpest light could not come: a mesh that is wrong asks for a blur.
     The frame's own low pass stays what the hill has: all are compared on the same data.
     """
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
@@ -57,15 +59,23 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
         found = hill.log_evidences_under(planes, [(scene, None) for scene in scenes])
         return [float(value) for value in found.max(axis=1) + [_log_prior(one.core, one.wings) for one in tried]]
 
+    def possible(place: tuple[int, int]) -> bool:
+        width, share = place
+        if not (0 <= width < len(_WIDTHS) and 0 <= share < len(_SHARES)):
+            return False
+        return lets_through(hill, start.spread_by(_WIDTHS[width], _SHARES[share]))
+
     now = start.point_spread(1)
     here = (
         int(np.argmin(np.abs(np.log(np.array(_WIDTHS) / now.width)))),
         int(np.argmin(np.abs(np.array(_SHARES) - now.share))),
     )
+    while here[0] > 0 and not possible(here):
+        here = here[0] - 1, here[1]
     seen = {here: values([here])[0]}
     while len(seen) < _LOOKS:
         near = [(here[0] + a, here[1] + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1))]
-        near = [at for at in near if at not in seen and 0 <= at[0] < len(_WIDTHS) and 0 <= at[1] < len(_SHARES)]
+        near = [at for at in near if at not in seen and possible(at)]
         if near:
             seen.update(zip(near, values(near), strict=True))
         best = max(seen, key=lambda at: seen[at])
@@ -103,6 +113,11 @@ def neighbour(now: Nuisance, turn: int) -> Nuisance:
     if turn % 4 == 1:
         return now.spread_by(spread.width, _neighbour(_SHARES, spread.share, turn // 4))
     return now.spread_by(_neighbour(_WIDTHS, spread.width, turn // 4), spread.share)
+
+
+def lets_through(hill: Hill, nuisance: Nuisance) -> bool:
+    """Whether the hill's frame could be light that came through such a point spread."""
+    return hill.scene.lets_through(nuisance.point_spread(hill.view.binning))
 
 
 def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:

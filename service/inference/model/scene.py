@@ -16,6 +16,8 @@ Images = NDArray[np.float32]
 _BUMPS, _BUMP_WIDTH = (0.25, 0.5, 0.75), 0.2  # prior: of a patch's side: where the air shifts the image alike
 _BRIGHTER = 0.99  # numerical: quantile of a frame's light from which its gain is guessed, 3 sigma at the least
 _FULL_SHARE = 0.05  # numerical: of a pixel's light that comes from censored ones: it is censored too
+# numerical: a frequency's noise, in standard deviations, and its transfer's deviations (h), a factor, that are allowed
+_NOISE_SIGMAS, _DEVIATION = 4.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,25 @@ class Scene:
     def gain(self) -> float:
         """Log gain to start from: that of the brighter light in the frame."""
         return log(max(float(np.quantile(self.data, _BRIGHTER)), 3 * self.sigma))
+
+    @cached_property
+    def _least_transfer(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(S, S / 2 + 1) wavenumbers, 1 / px, and what a point spread must let through of each, as a share.
+
+        No frequency of light that is nowhere negative is larger than its sum. A body darker than its sky adds to that.
+        """
+        down = 2 * np.pi * np.fft.fftfreq(self.side)[:, None]
+        wavenumbers = np.hypot(down, 2 * np.pi * np.fft.rfftfreq(self.side))
+        seen = float(np.sum(np.abs(self.image), dtype=np.float64))
+        noise = _NOISE_SIGMAS * np.sqrt(self.image.size * self.sigma**2 + self.photon * seen)
+        dark = self.hidden * np.count_nonzero(np.abs(self.image) > _NOISE_SIGMAS * self.sigma)
+        whole = max(float(np.sum(self.image, dtype=np.float64)), 0.0) + dark + noise
+        return wavenumbers, (np.abs(np.fft.rfft2(self.image)) - noise) / (_DEVIATION * whole)
+
+    def lets_through(self, point_spread: PointSpread) -> bool:
+        """Whether light could leave this frame through such a point spread (px): none is sharper than it."""
+        wavenumbers, least = self._least_transfer
+        return bool(np.all(point_spread.transfer(wavenumbers) >= least))
 
     def under(
         self,

@@ -47,6 +47,10 @@ class PointSpread:
         """That of a width of whose square the wings have a share."""
         return cls(width * sqrt(1.0 - share), width * sqrt(share / _INNER))
 
+    def transfer(self, wavenumbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """K at such wavenumbers, 1 / px."""
+        return np.asarray(np.exp(-0.5 * (self.core * wavenumbers) ** 2 - (self.wings * wavenumbers) ** (5 / 3)))
+
     @property
     def width(self) -> float:
         """Root of the mean square width of its two inner Gaussians: what a pixel step is measured by, px."""

@@ -53,6 +53,22 @@ def test_the_point_spread_of_an_enlarged_image_is_found():
     assert best_spread(hill(image, start), some(), np.tile(SUN, (2, 1)), start).core == pytest.approx(6.0, rel=0.15)
 
 
+@pytest.mark.parametrize(("core", "wings"), [(0.9, 0.0), (2.5, 0.0), (1.0, 1.3)])
+def test_no_light_is_sharper_than_its_point_spread(core, wings):
+    image = seen(pose(), shares(lit_body(), 900.0), core=core, wings=wings)
+    given = hill(image, Nuisance(core, wings)).scene
+    width = PointSpread(core, wings).width
+    assert given.lets_through(PointSpread(core, wings)) and given.lets_through(PointSpread(0.5 * width))
+    assert not given.lets_through(PointSpread(4 * width))
+
+
+def test_a_wrong_pose_asks_for_no_blur_that_the_frame_cannot_have():
+    wide = Nuisance(12.0, 0.0, 0.02)
+    given = hill(seen(pose(), shares(lit_body(), 900.0), core=0.9), wide)
+    wrong = retract(pose(), np.array([[1.0, -0.7, -1.4, 3.8, 7.9, 0.1, 6.4]]))
+    assert best_spread(given, wrong, SUN[None], wide).core < 2.5  # 11.4 where all is allowed
+
+
 def test_a_mesh_that_is_further_from_right_has_more_discrepancy():
     """Paint that the model does not know of: bright and dark patches all over the body."""
     found = []
