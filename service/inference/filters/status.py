@@ -36,7 +36,7 @@ def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> st
         return "lost" if mixture.ever_tracked else "no_fit"
     if fits >= SURE and leading_share(mixture, twins, domain) >= SURE:
         return "tracking"
-    return "ambiguous" if mixture.ever_tracked else "acquiring"
+    return "ambiguous" if fits >= SURE or mixture.ever_tracked else "acquiring"
 
 
 def leading_share(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> float:

@@ -211,7 +211,8 @@ def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False, m
     [
         (mixture(), "tracking"),
         (mixture(searches=1), "acquiring"),
-        (mixture((0.6, 0.4)), "acquiring"),
+        (mixture((0.6, 0.4)), "ambiguous"),
+        (mixture((0.6, 0.4), searches=1), "acquiring"),
         (mixture(searches=3, misses=4, ever=True), "ambiguous"),
         (mixture((0.6, 0.4), ever=True), "ambiguous"),
         (mixture(existence=(0.0, 0.2, 0.8)), "no_fit"),
