@@ -162,7 +162,7 @@ def inputs_of(several: Sequence[Terms], numbers: Sequence[int]) -> HostInputs:
 def boxes_of(stars: NDArray[np.uint8]) -> NDArray[np.int32]:
     """(K, 5) of each number its own, first and last row, first and last column of whole lanes (ends exclusive)."""
     out = []
-    for number in np.unique(stars[stars > 0]):
+    for number in np.unique(stars[stars > 0]) if stars.any() else ():
         rows, columns = np.nonzero(stars == number)
         left, right = columns.min() // LANES * LANES, -(-(columns.max() + 1) // LANES) * LANES
         out.append((number, rows.min(), rows.max() + 1, left, right))

@@ -25,8 +25,8 @@ CASE_COLUMNS = (
 )
 OVERALL_COLUMNS = (
     *("preset", "cases", "acquired1", "acquired10", "err_med", "err_worst", "within5", "modes5", "right_twin"),
-    *("silent", "pos_med", "scale_med", "joint_med", "iou_med", "cover50", "cover90", "hard90", "blank_ok"),
-    *("reacquired", "twins_reported", "first_ms", "ms_med"),
+    *("silent", "tracked", "tracked_right", "pos_med", "scale_med", "joint_med", "iou_med", "cover50", "cover90"),
+    *("hard90", "blank_ok", "reacquired", "twins_reported", "first_ms", "ms_med"),
 )
 _MOST_COLUMNS = 4
 _TEXT = ("preset", "case", "says")
@@ -40,6 +40,8 @@ _SHORT = {
     "within5": "in5",
     "modes5": "m5",
     "right_twin": "right",
+    "tracked": "T",
+    "tracked_right": "T in5",
     "pos_med": "pos",
     "scale_med": "scale",
     "joint_med": "joint",

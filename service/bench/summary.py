@@ -6,6 +6,8 @@ all, in a shorter pass):
 ``err_med``, ``err_p95``; ``within5``, ``modes5``: share of frames in which the best pose, the nearest mode, is off
 by less than 5 degrees; ``right_twin``: share in which the best pose is, and is no symmetry-equivalent of the truth;
 ``silent``: share answered ``tracking`` although the best pose and the nearest mode are off by more than 15 degrees;
+``tracked``: share of all frames that show the object, from the first one, that is answered ``tracking``, and
+``tracked_right``, of those: off by less than 5 degrees;
 ``pos_med`` (px), ``scale_med`` (%), ``joint_med`` (degrees), ``iou_med``; ``cover50``,
 ``cover90``: share of frames in which the nearest mode's error lies within its own 50 and 90 % radius; ``ms_med``,
 ``ms_p95``: time per frame, from the image file to the answer. ``first_ms``: the same of the first frame that shows the
@@ -60,6 +62,7 @@ def case_row(result: CaseResult) -> Row:
     blank = [frame for frame in result.frames if not frame.visible]
     twins = [frame.twins_reported for frame in late if frame.twins_reported is not None]
     statuses = sorted({frame.status for frame in result.frames})
+    tracked = [frame for frame in seen if frame.status == "tracking"]
     return {
         "preset": result.entry,
         "case": result.case,
@@ -71,6 +74,8 @@ def case_row(result: CaseResult) -> Row:
         "modes5": _share(f.modes_deg < WITHIN_DEG for f in late),
         "right_twin": _share(f.raw_deg < WITHIN_DEG for f in late),
         "silent": _share(map(_is_silent, late)),
+        "tracked": _share(f.status == "tracking" for f in seen),
+        "tracked_right": _share(f.orientation_deg < WITHIN_DEG for f in tracked) if tracked else None,
         "pos_med": _median(late, lambda f: f.position_px, 2),
         "scale_med": _median(late, lambda f: f.scale_percent, 2),
         "joint_med": _median(late, lambda f: f.joint, 2),
@@ -100,6 +105,8 @@ def overall_row(preset: str, rows: Sequence[Row]) -> Row:
         **{name: _over(mine, name, np.median, 2) for name in ("err_med", "err_p95")},
         "err_worst": max(row["err_med"] for row in mine),
         **{name: _over(mine, name, np.mean, 3) for name in ("within5", "modes5", "right_twin", "silent")},
+        "tracked": _over(mine, "tracked", np.mean, 3),
+        "tracked_right": _tracked_right(mine),
         **{name: _over(mine, name, np.median, 2) for name in ("pos_med", "scale_med")},
         "joint_med": _over([row for row in mine if row["joints"]], "joint_med", np.median, 2),
         "iou_med": _over(mine, "iou_med", np.mean, 3),
@@ -113,6 +120,14 @@ def overall_row(preset: str, rows: Sequence[Row]) -> Row:
 def _is_silent(frame: FrameScore) -> bool:
     """Whether an answer far off does not say so."""
     return frame.status == "tracking" and frame.orientation_deg > SILENT_DEG and frame.modes_deg > SILENT_DEG
+
+
+def _tracked_right(rows: Sequence[Row]) -> float | None:
+    """Of all frames that are answered ``tracking``, each counting as much as in its pass."""
+    some = [row for row in rows if row["tracked"]]
+    if not some:
+        return None
+    return round(float(np.average([row["tracked_right"] for row in some], weights=[row["tracked"] for row in some])), 4)
 
 
 def _hardest(rows: Sequence[Row]) -> list[Row]:

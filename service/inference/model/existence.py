@@ -26,8 +26,8 @@ def expected(before: Array | None, dt_s: float) -> Array:
 
 def log_absent(hill: Hill) -> float:
     """Log evidence of the sky alone."""
-    side, groups = hill.view.side, hill.drawing.n_groups
-    return float(hill.log_evidences(np.zeros((1, groups + EVEN_PLANES, side, side), np.float32))[0])
+    side, planes = hill.view.side, len(hill.terms.offset) + EVEN_PLANES
+    return float(hill.log_evidences(np.zeros((1, planes, side, side), np.float32))[0])
 
 
 def scene_unlike(hill: Hill) -> Scene:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.inference.model.derivatives import across
 from service.inference.model.drawing import Drawing
-from service.inference.model.likelihood import Fit, terms_of
+from service.inference.model.likelihood import Fit
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images
 from service.inference.numerics.curvature import slopes_of, systems_of
@@ -186,7 +186,7 @@ def _look(
     ``ended``: unknowns of the light of poses near by, to begin with.
     """
     planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
-    terms = terms_of(hill.scene, hill.drawing.n_groups, planes.shape[1])
+    terms = hill.terms
     if believed is not None and at is not None:
         terms = painted(terms, believed.paint[at])
     if ended is not None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from service.inference.model.drawing import FINE, Drawing, Quality, View
-from service.inference.model.likelihood import ROUNDS, Fit, terms_of
+from service.inference.model.drawing import EVEN_PLANES, FINE, Drawing, Quality, View
+from service.inference.model.likelihood import ROUNDS, Fit, Terms, terms_of
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images, Scene
 from service.inference.numerics.priors import PosePrior
@@ -39,9 +40,18 @@ class Hill:
     rounds: int = ROUNDS
     trust: Trust = Trust()
 
+    @cached_property
+    def terms(self) -> Terms:
+        """The hill's scene and priors, as the likelihood holds them."""
+        return self._under(self.scene)
+
+    def _under(self, scene: Scene) -> Terms:
+        groups = self.drawing.n_groups
+        return terms_of(scene, groups, groups * (1 + len(self.quality.gloss)) + EVEN_PLANES)
+
     def log_evidences(self, planes: Images, scene: Scene | None = None, paint: Array | None = None) -> Array:
         """(N,) of drawn poses (N, Q, S, S). ``scene``: not the hill's own; ``paint`` (2, P): as they should have it."""
-        terms = terms_of(scene or self.scene, self.drawing.n_groups, planes.shape[1])
+        terms = self.terms if scene is None else self._under(scene)
         terms = terms if paint is None else painted(terms, paint[None])
         found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms, self.rounds)
         return np.asarray(found.log_evidence, np.float64)
@@ -54,7 +64,7 @@ class Hill:
         ``ended`` (N, U): unknowns of the same poses under another scene, to begin with.
         """
         count, groups, out = len(planes), self.drawing.n_groups, np.empty((len(ways), len(planes)))
-        terms = [terms_of(scene, groups, planes.shape[1]) for scene, _ in ways]
+        terms = [self.terms if scene is self.scene else self._under(scene) for scene, _ in ways]
         terms = [
             one if paint is None else painted(one, paint[None]) for one, (_, paint) in zip(terms, ways, strict=True)
         ]

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from service.inference.model.drawing import EVEN_PLANES
-from service.inference.model.likelihood import Terms, t_log_density, terms_of
+from service.inference.model.likelihood import Terms, t_log_density
 from service.inference.model.paint import painted
 from service.inference.model.prior import DEGREES_OF_FREEDOM
 from service.inference.model.scene import Images
@@ -27,8 +27,7 @@ _FAINT = 1e-3  # numerical: of the brightest pixel: what is less moves nothing
 
 def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
     """The N poses at their best places (frame px), everything else as it is; where nothing is better, as they are."""
-    n_planes = believed.paint.shape[-1] + EVEN_PLANES
-    terms = painted(terms_of(hill.scene, hill.drawing.n_groups, n_planes), believed.paint)
+    terms = painted(hill.terms, believed.paint)
     images = hill.drawing.combined(poses, suns, _expected_light(terms, hill.drawing.n_groups), hill.view, hill.quality)
     pictures = np.stack(spread_slopes(images, hill.scene.point_spread, hill.scene.smoothing), axis=1)
     whole = np.linalg.inv(believed.precision)[:, 3:5, 3:5] / hill.view.binning**2  # patch px

@@ -36,6 +36,17 @@ def test_the_hardest_quarter_is_asked_for_its_regions():
     assert overall_rows(rows[:3], {})[0]["hard90"] == 0.0  # of three, the one that is worst
 
 
+def test_what_is_told_as_tracked_is_asked_whether_it_is_right():
+    right = case_row(result((frame(k, status="tracking" if k > 3 else "acquiring") for k in range(12)), case="a"))
+    wrong = case_row(result((frame(k, orientation_deg=6.0 if k == 11 else 1.0) for k in range(12)), case="b"))
+    never = case_row(result((frame(k, status="no_fit", orientation_deg=90.0) for k in range(12)), case="c"))
+    assert (right["tracked"], right["tracked_right"]) == (0.667, 1.0)
+    assert (wrong["tracked"], wrong["tracked_right"], never["tracked_right"]) == (1.0, 0.917, None)
+    (total,) = overall_rows([right, wrong, never], {})
+    assert total["tracked"] == 0.556 and total["tracked_right"] == pytest.approx(19 / 20, abs=1e-3)
+    assert overall_rows([never], {})[0]["tracked_right"] is None
+
+
 def test_early_frames_count_for_acquisition_only():
     errors = [90.0] * 4 + [20.0] * 5 + [3.0] * 11
     row = case_row(result(frame(k, orientation_deg=e) for k, e in enumerate(errors)))
