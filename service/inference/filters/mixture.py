@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.inference.filters.answer import drawn, estimate_of, unseen
 from service.inference.filters.given import Given, Predicted, Updated
-from service.inference.filters.status import one_answer, status_of, told_existence
+from service.inference.filters.status import across, one_answer, status_of, told_existence
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import Candidates
@@ -36,6 +36,8 @@ _RIM, _SIGHT = 1.2, 1.6  # numerical: of the body's radius that belongs to it; a
 _ENOUGH_OF_OTHERS = 1 / prior.EVIDENCE_TRUST  # numerical: nats that others may be short of their best
 _LEAST = 1e-3  # numerical: probability below which a mode is dropped
 _EAGER = 4  # numerical: searches of a leader, one frame after the other
+# numerical: of them for a body that is resolved, where a truth that was missed is less likely than this
+_EAGER_IF_SURE, _SURE = 2, 0.01
 _RARER, _RAREST = 3, 100  # numerical: each search that could not better the leader makes the next so much rarer; frames
 
 
@@ -148,15 +150,23 @@ def is_doubted(mixture: Mixture) -> bool:
     return bool(told_existence(mixture)[existence.NO_FIT] >= 0.5)
 
 
+def is_open(mixture: Mixture) -> bool:
+    """Whether two searches may have missed the truth: of little light, blurred, of what fits worse or is not alone."""
+    missed = existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
+    known = mixture.ever_tracked and mixture.misses == 0 and not is_doubted(mixture)
+    return not known or missed > _SURE or across(mixture) < prior.UNLIKE_ACROSS
+
+
 def search_due(before: Mixture | None) -> bool:
     """As often as it is likely that the truth was missed; a track that many searches could not better has few."""
-    if before is None or before.searches < _EAGER:
+    eager = _EAGER if before is None or is_open(before) else _EAGER_IF_SURE
+    if before is None or before.searches < eager:
         return True
     if before.existence[existence.ABSENT] >= 0.5:  # what comes back is within reach of its prediction, as a rule
         return before.since_search > 0
-    if before.searches < _EAGER + before.misses or is_doubted(before):
+    if before.searches < eager + before.misses or is_doubted(before):
         return before.since_search + 1 >= _RARER
-    return bool(before.since_search + 1 >= min(_RARER ** (before.searches - _EAGER + 1), _RAREST))
+    return bool(before.since_search + 1 >= min(_RARER ** (before.searches - eager + 1), _RAREST))
 
 
 def ground(

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from held_mixture import HELD, mixture
 from lit_body import QUALITY, SUN, lit_body, shares
 
 from service.imaging.patch import Light
@@ -15,13 +16,13 @@ from service.inference.domain import Domain
 from service.inference.filters import mixture as filtering
 from service.inference.filters.answer import drawn
 from service.inference.filters.given import Given
-from service.inference.filters.mixture import is_another, search_due, step
+from service.inference.filters.mixture import is_another, step
 from service.inference.filters.status import SURE, status_of, told_existence
 from service.inference.filters.weighing import born
 from service.inference.model import prior
 from service.inference.model import search as searching
 from service.inference.model.drawing import Lens, View
-from service.inference.model.existence import of_this_body, usual_chi2
+from service.inference.model.existence import of_this_body
 from service.inference.model.paint import unlearnt
 from service.inference.model.search import make_bank, search
 from service.inference.model.spread import PointSpread, spread
@@ -30,7 +31,7 @@ from service.inference.motion import motion_noise
 from service.inference.numerics.hill import Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import angle_between, retract
-from service.inference.state import FilterState, Mixture, Poses
+from service.inference.state import FilterState, Poses
 from service.sessions.config import effective
 from service.workers.codec import decode, encode
 from service.workers.lit_frame import LightOfFrame
@@ -180,32 +181,6 @@ def test_another_body_does_not_fit(monkeypatch):
     assert statuses[-1] in ("no_fit", "ambiguous", "acquiring")
 
 
-def mixture(weights=(1.0,), existence=(0.0, 1.0, 0.0), searches=9, ever=False, misses=0, discrepancy=0.008) -> Mixture:
-    n = len(weights)
-    turn = np.zeros((n, 6))
-    turn[:, 0] = np.arange(n)
-    poses = retract(truth(0)[np.zeros(n, dtype=int)], turn)
-    return Mixture(
-        poses=poses,
-        rates=np.zeros((n, 6)),
-        covariance=np.tile(1e-4 * np.eye(12), (n, 1, 1)),
-        suns=np.tile(SUN, (n, 1)),
-        sun_sigmas=np.full(n, 0.0175),
-        paint=np.zeros((n, 2, 6)),
-        log_weights=np.log(np.array(weights)),
-        existence=np.array(existence),
-        point_spread=np.array([1.2, 0.0]),
-        discrepancy=discrepancy,
-        log_chi2=usual_chi2(),
-        log_light=8.0,
-        span_px=40.0,
-        ever_tracked=ever,
-        searches=searches,
-        misses=misses,
-        since_search=0,
-    )
-
-
 @pytest.mark.parametrize(
     ("held", "status"),
     [
@@ -261,11 +236,6 @@ def test_a_wide_basin_is_worth_no_more_beside_a_track_than_a_narrow_one():
     assert weight(0.5, None) > weight(0.01, None)  # nothing is known yet: the frame's own shares
 
 
-def test_a_track_that_no_search_could_better_is_searched_ever_more_seldom():
-    due = [search_due(replace(mixture(searches=n), since_search=k)) for n in (1, 4, 5, 6) for k in (0, 1, 2, 8)]
-    assert due == [True] * 4 + [False, False, True, True] + [False, False, False, True] + [False] * 4
-
-
 def test_a_basin_near_a_mode_that_it_betters_is_no_other_answer():
     """A joint that a glint puts right: earlier searches have not missed the truth, so the track is not doubted."""
     here, there = truth(0), retract(truth(0), np.deg2rad([[30.0, 0, 0, 0, 0, 0]]))
@@ -284,15 +254,8 @@ def test_a_basin_near_a_mode_that_it_betters_is_no_other_answer():
     assert another([here], 0)
 
 
-def test_what_searches_have_missed_before_and_what_fits_no_more_is_searched_more_often():
-    missed = [search_due(replace(mixture(searches=6, misses=m), since_search=k)) for m in (2, 3) for k in (1, 2)]
-    assert missed == [False, False, False, True]
-    gone = mixture(existence=(0.0, 0.2, 0.8), searches=30)
-    assert [search_due(replace(gone, since_search=k)) for k in (0, 1, 2)] == [False, False, True]
-
-
 def test_particles_have_their_modes_shares():
     poses, rates = drawn(np.random.default_rng(0), mixture((0.7, 0.3)), 1000, given(frame(0), 0).domain)
-    near = np.rad2deg(angle_between(poses.quaternion, truth(0).quaternion[0])) < 20
+    near = np.rad2deg(angle_between(poses.quaternion, HELD.quaternion[0])) < 20
     assert len(poses) == len(rates) == 1000 and abs(int(near.sum()) - 700) <= 2
     assert SURE == 0.9
