@@ -95,6 +95,7 @@ class Scene:
         """(S, S / 2 + 1) wavenumbers, 1 / px, and what a point spread must let through of each, as a share.
 
         No frequency of light that is nowhere negative is larger than its sum. A body darker than its sky adds to that.
+        A pixel that stands out of all its neighbours, or a pair, is a cosmic ray's, and no light.
         """
         down = 2 * np.pi * np.fft.fftfreq(self.side)[:, None]
         wavenumbers = np.hypot(down, 2 * np.pi * np.fft.rfftfreq(self.side))
@@ -102,7 +103,9 @@ class Scene:
         noise = _NOISE_SIGMAS * np.sqrt(self.image.size * self.sigma**2 + self.photon * seen)
         dark = self.hidden * np.count_nonzero(np.abs(self.image) > _NOISE_SIGMAS * self.sigma)
         whole = max(float(np.sum(self.image, dtype=np.float64)), 0.0) + dark + noise
-        return wavenumbers, (np.abs(np.fft.rfft2(self.image)) - noise) / (_DEVIATION * whole)
+        around = [np.roll(self.image, (a, b), (0, 1)) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]
+        light = np.minimum(self.image, np.partition(around, -2, axis=0)[-2])
+        return wavenumbers, (np.abs(np.fft.rfft2(light)) - noise) / (_DEVIATION * whole)
 
     def lets_through(self, point_spread: PointSpread) -> bool:
         """Whether light could leave this frame through such a point spread (px): none is sharper than it."""

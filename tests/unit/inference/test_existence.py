@@ -6,8 +6,9 @@ import functools
 from dataclasses import replace
 
 import numpy as np
+from held_mixture import mixture
 from lit_body import QUALITY, SUN, scene, shares
-from test_light_filter import SIGMA, SIZE, Drawn, body, given, mixture, step, truth
+from test_light_filter import SIGMA, SIZE, Drawn, body, given, step, truth
 
 from service.inference.filters.weighing import _REFITTED
 from service.inference.model import existence, prior
@@ -45,6 +46,7 @@ def told(gain: float, k: int) -> tuple[bool, float]:
         image *= usual_light(gain) * np.exp(prior.FADES * rng.normal()) / image.sum()
     known = replace(
         mixture(existence=ODDS),
+        poses=truth(0),
         covariance=np.diag(np.concatenate([prior.MEMORY_KEPT * WIDE**2, np.full(6, 1e-4)]))[None],
         log_light=float(np.log(usual_light(gain))),
         point_spread=np.array([1.3, 0.0]),

@@ -60,6 +60,9 @@ def test_no_light_is_sharper_than_its_point_spread(core, wings):
     width = PointSpread(core, wings).width
     assert given.lets_through(PointSpread(core, wings)) and given.lets_through(PointSpread(0.5 * width))
     assert not given.lets_through(PointSpread(4 * width))
+    struck = image.copy()
+    struck[30, 40:42] += 5000.0  # a cosmic ray
+    assert hill(struck, Nuisance(core, wings)).scene.lets_through(PointSpread(core, wings))
 
 
 def test_a_wrong_pose_asks_for_no_blur_that_the_frame_cannot_have():
