@@ -28,7 +28,6 @@ from service.imaging.background import Background, Sky, derive
 from service.imaging.decode import decode_frame
 from service.inference.articulation import Articulation, hold
 from service.inference.model.drawing import Quality, View
-from service.inference.model.likelihood import terms_of
 from service.inference.model.search import Found, make_bank, search
 from service.inference.model.stages import Body
 from service.inference.model.templates import Bank
@@ -275,10 +274,8 @@ def _rough_nats(hill: Hill, at: Refined) -> float:
 
 
 def _evidence_ms(hill: Hill, at: Refined) -> float:
-    drawing = hill.drawing
-    planes = drawing.planes(at.pose, at.sun, hill.view, hill.quality)
-    terms = terms_of(hill.scene, drawing.n_groups, planes.shape[1])
-    return _median_ms(lambda: drawing.light.evidence(planes, drawing.n_groups, terms, hill.rounds))
+    planes = hill.drawing.planes(at.pose, at.sun, hill.view, hill.quality)
+    return _median_ms(lambda: hill.log_evidences(planes))
 
 
 def _draw_us(hill: Hill, at: Refined) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.inference.filters.answer import drawn, estimate_of, unseen
 from service.inference.filters.given import Given, Predicted, Updated
-from service.inference.filters.status import across, one_answer, status_of, told_existence
+from service.inference.filters.status import one_answer, status_of, told_existence, widths_across
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import Candidates
@@ -154,7 +154,7 @@ def is_open(mixture: Mixture) -> bool:
     """Whether two searches may have missed the truth: of little light, blurred, of what fits worse or is not alone."""
     missed = existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
     known = mixture.ever_tracked and mixture.misses == 0 and not is_doubted(mixture)
-    return not known or missed > _SURE or across(mixture) < prior.UNLIKE_ACROSS
+    return not known or missed > _SURE or widths_across(mixture) < prior.UNLIKE_ACROSS
 
 
 def search_due(before: Mixture | None) -> bool:

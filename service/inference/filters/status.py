@@ -18,7 +18,7 @@ SURE = 0.9  # contract: probability from which on an answer is told as one
 _EQUIVALENT_DEG = 5.0  # contract: modes whose rotations are nearer are one answer
 
 
-def across(mixture: Mixture) -> float:
+def widths_across(mixture: Mixture) -> float:
     """Of the light, in widths of the point spread."""
     return mixture.span_px / PointSpread(*mixture.point_spread).width
 
@@ -27,7 +27,7 @@ def told_existence(mixture: Mixture) -> Array:
     """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body."""
     absent, fits, no_fit = mixture.existence
     met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    kept = fits * met * existence.of_this_body(mixture.discrepancy, across(mixture))
+    kept = fits * met * existence.of_this_body(mixture.discrepancy, widths_across(mixture))
     return np.array([absent, kept, no_fit + fits - kept])
 
 

@@ -49,11 +49,9 @@ class Hill:
         groups = self.drawing.n_groups
         return terms_of(scene, groups, groups * (1 + len(self.quality.gloss)) + EVEN_PLANES)
 
-    def log_evidences(self, planes: Images, scene: Scene | None = None, paint: Array | None = None) -> Array:
-        """(N,) of drawn poses (N, Q, S, S). ``scene``: not the hill's own; ``paint`` (2, P): as they should have it."""
-        terms = self.terms if scene is None else self._under(scene)
-        terms = terms if paint is None else painted(terms, paint[None])
-        found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms, self.rounds)
+    def log_evidences(self, planes: Images) -> Array:
+        """(N,) of drawn poses (N, Q, S, S)."""
+        found = self.drawing.light.evidence(planes, self.drawing.n_groups, self.terms, self.rounds)
         return np.asarray(found.log_evidence, np.float64)
 
     def log_evidences_under(
