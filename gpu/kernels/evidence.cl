@@ -8,6 +8,7 @@
 #define BUMPS 9
 #define LEAST_LIT 1e-4f
 #define LONGEST_STEP 1.5
+#define FISHER ((NU + 1.0) / (NU + 3.0))  // of J' W J: what a Student t is expected to tell
 #define FIRM 1e8  // times the curvature of an unknown that is to go nowhere else
 #define STILL 1e-2  // nats: a step that promises less is not worth another look, and is not taken
 
@@ -208,8 +209,8 @@ static float draw_model(const Scene s, const Room r, const int lit, const int co
     return weigh_stars(s, r, marks, stars);
 }
 
-// The upper half of J' W J + P, and J' W r - P (value - mean) into `move`, from the sums of products.
-static void draw_normal(const Scene s, const Room r, const int lit, const int count)
+// The upper half of `fisher` J' W J + P, and J' W r - P (value - mean) into `move`, from the sums of products.
+static void draw_normal(const Scene s, const Room r, const int lit, const int count, const double fisher)
 {
     const int slots = s.first + lit, width = (count + EIGHT - 1) & -EIGHT;
     for (int i = 0; i < count; ++i) {
@@ -219,7 +220,7 @@ static void draw_normal(const Scene s, const Room r, const int lit, const int co
         __global const double *total = r.total + slot_of(s, lit, i) * slots;
         const double scale = (double)r.scale[i];
         for (int j = 0; j < count; ++j)
-            if (j != lit) row[j] = scale * (double)r.scale[j] * total[slot_of(s, lit, j)];
+            if (j != lit) row[j] = fisher * scale * (double)r.scale[j] * total[slot_of(s, lit, j)];
         r.move[i] = scale * total[RESIDUAL];
     }
     // The gain's picture is the sum of those of all positives and of the even light's share.
@@ -253,7 +254,8 @@ static bool leaves(const Room r, const int lit, const int k, double *end)
 
 // The step of all unknowns from their normal matrix and pull: those that would leave their range (`firm`) to its end,
 // and the others to their best with that, until no more would. False: not positive.
-static bool held_step(const Scene s, const Room r, const int lit, const int count, const int row, bool *firm)
+static bool held_step(const Scene s, const Room r, const int lit, const int count, const int row, const double fisher,
+    bool *firm)
 {
     double end[2];
     firm[0] = firm[1] = false;
@@ -268,7 +270,7 @@ static bool held_step(const Scene s, const Room r, const int lit, const int coun
         more = false;
         for (int i = 0; i < 2; ++i)
             if (!firm[i] && leaves(r, lit, lit + 1 + i, end + i)) more = firm[i] = true;
-        if (more) draw_normal(s, r, lit, count);
+        if (more) draw_normal(s, r, lit, count, fisher);
     }
     return true;
 }
@@ -278,7 +280,7 @@ static bool step(const Scene s, const Room r, const int lit, const int count, co
 {
     for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
     bool firm[2];
-    if (!held_step(s, r, lit, count, row, firm)) return false;
+    if (!held_step(s, r, lit, count, row, FISHER, firm)) return false;
     *promised = 0.0;
     for (int k = 0; k < count; ++k) *promised += 0.5 * r.pull[k] * r.move[k];
     if (fabs(*promised) < STILL) return true;
@@ -290,11 +292,11 @@ static bool step(const Scene s, const Room r, const int lit, const int count, co
     return true;
 }
 
-// A plane as the camera leaves it, zero where else `body` is: its tiles are read whole.
-static void draw_blurred(const Scene s, const Room r, __global const float *plane, const Box box, const Box body,
+// A plane as the camera leaves it, zero where else `around` is.
+static void draw_blurred(const Scene s, const Room r, __global const float *plane, const Box box, const Box around,
     __global const float *weights, __global const int *radii, __global const float *taps, __global float *out)
 {
-    clear(out, body, s.side);
+    clear(out, around, s.side);
     for (int c = 0; c < s.components; ++c) {
         blur(plane, box, s.side, weights[c], taps, radii[c], r.between, s.length, out);
         taps += 2 * radii[c] + 1;
@@ -342,6 +344,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
     const int groups, Box *body)
 {
     const Box all = {0, s.side, 0, s.side};
+    const int tall = tile_rows(s.first);
     int radius = 0, lit = 0;
     for (int c = 0; c < s.components; ++c) radius = max(radius, radii[c]);
     __global const float *covered = planes + groups * s.pixels;
@@ -362,7 +365,10 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         if (box.top >= box.bottom) continue;
         const int slot = s.first + lit;
         const Box wide = widened(box, radius, s.side);
-        draw_blurred(s, r, plane, box, *body, weights, radii, taps, picture_in(s, r, slot));
+        Box tiles = common(wide, *body);  // which reach it are read whole
+        tiles.top = max(tiles.top - tall, body->top);
+        tiles.bottom = min(tiles.bottom + tall, body->bottom);
+        draw_blurred(s, r, plane, box, tiles, weights, radii, taps, picture_in(s, r, slot));
         if (most_in(picture_in(s, r, slot), wide, s.side) <= LEAST_LIT) continue;
         r.box[slot] = wide;
         note_reach(s, r, slot, wide);
@@ -542,14 +548,14 @@ __kernel void evidence(
         bool sound = true, still = false;
         for (int round = 0; round < rounds && sound && !still; ++round) {
             products(r.products, s.first + lit, body, r.total);
-            draw_normal(s, r, lit, count);
+            draw_normal(s, r, lit, count, FISHER);
             double promised = 0.0;
             sound = step(s, r, lit, count, row, &promised);
             still = fabs(promised) < STILL;
             if (!still) gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         }
         if (!still) products(r.products, s.first + lit, body, r.total);
-        draw_normal(s, r, lit, count);
+        draw_normal(s, r, lit, count, 1.0);
         if (details) tell_normal(s, r, count, row, details + pose * told_size(s));
         sound = factorise(r.normal, count, row);
         double logdet = 0.0, squares = 0.0;
@@ -572,9 +578,13 @@ __kernel void evidence(
         for (int k = 0; k < 3; ++k) drawn[groups + 1 + k] = r.scale[lit + 6 + k] * (float)r.value[lit + 6 + k];
         tell_values(s, r, lit, given_mean + (size_t)pose * every, values + (size_t)pose * s.unknowns);
         if (details) {
-            bool firm[2];
-            draw_normal(s, r, lit, count);
-            held_step(s, r, lit, count, row, firm);
+            double end;
+            bool firm[2] = {false, false};
+            solve(r.normal, count, row, r.move);
+            if (leaves(r, lit, lit + 1, &end) || leaves(r, lit, lit + 2, &end)) {
+                draw_normal(s, r, lit, count, 1.0);
+                held_step(s, r, lit, count, row, 1.0, firm);
+            }
             tell_firm(s, lit, count, firm, details + pose * told_size(s));
             tell(s, r, lit, count, body, details + pose * told_size(s));
         }

@@ -97,10 +97,13 @@ static void add_tile(const Products p, const int slots, const int top, const int
                 vload4(0, p.reaching + a), vload4(0, p.reaching + b));
 }
 
+// Rows of a tile at the most, of so many pictures or more.
+static int tile_rows(const int slots) { return max(NEAR / slots, EIGHT); }
+
 // total (slots, slots): sums over all pixels of weight * picture i * picture j; both halves.
 static void products(const Products p, const int slots, const Box body, __global double *total)
 {
-    const int tall = max(NEAR / slots, EIGHT), lanes = p.side / LANES;
+    const int tall = tile_rows(slots), lanes = p.side / LANES;
     for (int i = 0; i < slots; ++i)
         for (int j = 0; j <= i; ++j) put(p.sums + (i * (slots + 1) + j) * LANES, 0.0f);
     for (int column = 0; column < p.side; column += LANES) {

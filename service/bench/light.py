@@ -20,10 +20,11 @@ from gpu.mesh import Mesh
 from gpu.shaded import ShadedBody, open_shaded
 from gpu.shaded_reference import Drawing, reference_planes
 from gpu.surface_groups import surface_groups
-from service.inference.model.likelihood import ROUNDS, terms_of
+from service.inference.model.likelihood import ROUNDS
 from service.inference.model.prior import GLOSS_LOBES
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread, spread
+from service.inference.model.terms import terms_of
 
 FILL = 0.48  # of the patch: the body's radius in it
 AGREES = 0.02  # of full light: pixels that differ by less are the same

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.inference.model.drawing import EVEN_PLANES, Drawing, Lens, Quality, View
-from service.inference.model.likelihood import positive_priors
+from service.inference.model.terms import positive_priors
 from service.inference.state import Array, Poses
 
 _SIDE = 48  # numerical: patch px in which the whole body is drawn

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from service.inference.model import prior
 from service.inference.model.drawing import EVEN_PLANES
-from service.inference.model.scene import Images, Scene, shift_bumps, sky_slopes
+from service.inference.model.scene import Images
 from service.inference.model.spread import deviations, gradient, spread
+from service.inference.model.terms import Terms
 from service.inference.state import Array
 
 _NU = prior.DEGREES_OF_FREEDOM
@@ -22,95 +23,10 @@ _T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)  # e
 ROUNDS = 6  # numerical: of reweighting: the evidence moves by less than 0.1 nats after it
 STILL = 1e-2  # numerical: nats: a step that promises less is not worth another look, and is not taken
 LEAST_LIT = 1e-4  # numerical: of the Sun full on: a plane that shows less is left out
+_FISHER = (_NU + 1) / (_NU + 3)  # exact: of J' W J: what a Student t is expected to tell; with all, steps fall short
 _LONGEST_STEP = 1.5  # numerical: of a log albedo in one round
 _MOST = (np.inf, 1.0)  # prior: of even light, and of the sky that is hidden
 _FIRM = 1e8  # numerical: times the curvature of an unknown that is to go nowhere else
-
-
-@dataclass(frozen=True)
-class Terms:
-    """A scene and the priors of its unknowns as arrays, in the order in which the likelihood holds them.
-
-    Unknowns: log of each positive plane's brightness over its prior share of the gain (albedo of a group, gloss of a
-    group), log gain, even light, hidden sky, level and slopes of the sky, tilt of the even light (3), 12 of the point
-    spread, 18 shifts.
-    """
-
-    scene: Scene
-    offset: Images  # (Q - 4,)
-    mean: Images  # (U,), or (N, U): of each pose its own
-    precision: Images
-    data: Images
-    full: NDArray[np.bool_]
-    stars: NDArray[np.uint8]
-    slopes: Images
-    bumps: Images
-    gaussians: tuple[tuple[float, float], ...]
-    noise: float
-    photon: float
-    hidden: float
-    area: float
-    wrong: float
-    edge: float
-    width: float
-    gain: float
-    star: float
-    speckle: bool
-    shifts: bool
-    start: Images | None = None  # (N, U) where the unknowns of N poses begin; None: at ``mean``, the gain as fits best
-
-    def begun(self, values: Images) -> Terms:
-        """The same, to begin where unknowns (N, U') of other terms ended; shifts they lack begin at zero."""
-        start = np.zeros((len(values), self.mean.shape[-1]), np.float32)
-        count = min(start.shape[1], values.shape[1])
-        start[:, :count] = values[:, :count]
-        return replace(self, start=start)
-
-
-def positive_priors(n_groups: int, n_planes: int) -> tuple[Images, Array]:
-    """(Q - 4,) log of each positive plane's share of the gain, and the standard deviation of its log about it."""
-    counts = [n_groups, n_planes - EVEN_PLANES - n_groups]
-    offset = np.repeat(np.array([0.0, log(prior.GLOSS_SHARE)], np.float32), counts)
-    return offset, np.repeat([prior.ALBEDO_SIGMA, prior.GLOSS_LOG_SIGMA], counts)
-
-
-def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
-    """The terms of a body of G groups whose drawings have Q planes."""
-    offset, positive = positive_priors(n_groups, n_planes)
-    wings = scene.point_spread.wings
-    sigmas = [*positive, prior.GAIN_SIGMA, scene.light.even_sigma, prior.HIDDEN_SIGMA] + [
-        prior.SKY_SIGMAS * scene.sigma
-    ] * 3
-    sigmas += [prior.EVEN_TILT_SIGMA] * 3
-    means = [0.0] * (n_planes - EVEN_PLANES) + [scene.gain, scene.light.even_mean, prior.HIDDEN_MEAN]
-    speckle, shifts = scene.shifts, scene.shifts and wings > 0
-    if speckle:
-        sigmas += [prior.HERMITE_SIGMA] * 12
-    if shifts:
-        sigmas += [prior.SHIFT_SHARE * wings] * 18
-    return Terms(
-        scene=scene,
-        offset=offset,
-        mean=np.array(means + [0.0] * (len(sigmas) - len(means)), np.float32),
-        precision=(1.0 / np.array(sigmas) ** 2).astype(np.float32),
-        data=scene.data,
-        full=scene.full,
-        stars=scene.stars,
-        slopes=sky_slopes(scene.side),
-        bumps=shift_bumps(scene.side),
-        gaussians=scene.point_spread.gaussians(scene.smoothing),
-        noise=scene.sigma**2,
-        photon=scene.photon,
-        hidden=scene.hidden,
-        area=scene.area,
-        wrong=scene.alike * scene.discrepancy**2,
-        edge=scene.grain * prior.EDGE_PX,
-        width=scene.point_spread.width,
-        gain=scene.gain,
-        star=prior.STAR,
-        speckle=speckle,
-        shifts=shifts,
-    )
 
 
 @dataclass(frozen=True)
@@ -250,10 +166,10 @@ class _Unknowns:
         return columns, light, model, residual, variance, weight
 
     def step(self) -> float:
-        """One round: weights from the residual, then a Gauss-Newton step, unless it promises too little; nats."""
+        """One round: weights from the residual, then a step by Fisher scoring, unless it promises too little; nats."""
         columns, _, _, residual, _, weight = self._look()
         normal, pull = self._system(columns, residual, weight)
-        move = np.linalg.solve(*self._firm(normal + np.diag(self._precision), pull))
+        move = np.linalg.solve(*self._firm(_FISHER * normal + np.diag(self._precision), pull))
         promised = abs(0.5 * float(pull @ move))
         if promised >= STILL:
             move[: self._n + 1] = np.clip(move[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)

@@ -12,7 +12,8 @@ import numpy as np
 
 from service.inference.model import prior
 from service.inference.model.drawing import EVEN_PLANES
-from service.inference.model.likelihood import Fit, Terms
+from service.inference.model.likelihood import Fit
+from service.inference.model.terms import Terms
 from service.inference.state import Array
 
 

@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from service.inference.model.drawing import EVEN_PLANES, FINE, Drawing, Quality, View
-from service.inference.model.likelihood import ROUNDS, Fit, Terms, terms_of
+from service.inference.model.likelihood import ROUNDS, Fit
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images, Scene
+from service.inference.model.terms import Terms, terms_of
 from service.inference.numerics.priors import PosePrior
 from service.inference.state import Array, Poses
 

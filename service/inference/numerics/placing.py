@@ -12,11 +12,12 @@ import cv2
 import numpy as np
 
 from service.inference.model.drawing import EVEN_PLANES
-from service.inference.model.likelihood import Terms, t_log_density
+from service.inference.model.likelihood import t_log_density
 from service.inference.model.paint import painted
 from service.inference.model.prior import DEGREES_OF_FREEDOM
 from service.inference.model.scene import Images
 from service.inference.model.spread import spread_slopes
+from service.inference.model.terms import Terms
 from service.inference.numerics.hill import Hill
 from service.inference.numerics.priors import Believed
 from service.inference.state import Array, Poses

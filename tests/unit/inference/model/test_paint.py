@@ -8,7 +8,8 @@ from lit_body import FINEST, SUN, VIEW, lit_body, pose, scene, seen, shares
 
 from service.inference.model import paint, prior
 from service.inference.model.drawing import Quality
-from service.inference.model.likelihood import Fit, fit_light, terms_of
+from service.inference.model.likelihood import Fit, fit_light
+from service.inference.model.terms import terms_of
 from service.inference.pose import retract
 
 SIGMA = 4.0
