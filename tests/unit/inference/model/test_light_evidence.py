@@ -120,8 +120,7 @@ def test_without_noise_the_evidence_is_laplaces_and_the_light_the_most_probable(
     for name, found in light_evidence(terms).items():
         assert found == pytest.approx(wanted, abs=0.05), name
     fit = fit_light(planes(), 2, terms, 12)
-    left = fit.deviation + MEANS - best
-    assert 0.5 * left @ curvature @ left < STILL
+    assert 0.5 * (left := fit.deviation + MEANS - best) @ curvature @ left < STILL
     gain = np.exp(best[2])
     drawn = [*gain * np.exp(best[:2]), gain * best[3] - HIDDEN * best[4], *TILTED * best[8:]]
     assert fit.coefficients == pytest.approx(np.array(drawn), rel=0.01, abs=0.05)
