@@ -8,7 +8,6 @@
 #define BUMPS 9
 #define LEAST_LIT 1e-4f
 #define LONGEST_STEP 1.5
-#define FISHER ((NU + 1.0) / (NU + 3.0))  // of J' W J: what a Student t is expected to tell
 #define FIRM 1e8  // times the curvature of an unknown that is to go nowhere else
 #define STILL 1e-2  // nats: a step that promises less is not worth another look, and is not taken
 
@@ -209,8 +208,8 @@ static float draw_model(const Scene s, const Room r, const int lit, const int co
     return weigh_stars(s, r, marks, stars);
 }
 
-// The upper half of `fisher` J' W J + P, and J' W r - P (value - mean) into `move`, from the sums of products.
-static void draw_normal(const Scene s, const Room r, const int lit, const int count, const double fisher)
+// The upper half of J' W J + P, and J' W r - P (value - mean) into `move`, from the sums of products.
+static void draw_normal(const Scene s, const Room r, const int lit, const int count)
 {
     const int slots = s.first + lit, width = (count + EIGHT - 1) & -EIGHT;
     for (int i = 0; i < count; ++i) {
@@ -220,7 +219,7 @@ static void draw_normal(const Scene s, const Room r, const int lit, const int co
         __global const double *total = r.total + slot_of(s, lit, i) * slots;
         const double scale = (double)r.scale[i];
         for (int j = 0; j < count; ++j)
-            if (j != lit) row[j] = fisher * scale * (double)r.scale[j] * total[slot_of(s, lit, j)];
+            if (j != lit) row[j] = scale * (double)r.scale[j] * total[slot_of(s, lit, j)];
         r.move[i] = scale * total[RESIDUAL];
     }
     // The gain's picture is the sum of those of all positives and of the even light's share.
@@ -254,8 +253,7 @@ static bool leaves(const Room r, const int lit, const int k, double *end)
 
 // The step of all unknowns from their normal matrix and pull: those that would leave their range (`firm`) to its end,
 // and the others to their best with that, until no more would. False: not positive.
-static bool held_step(const Scene s, const Room r, const int lit, const int count, const int row, const double fisher,
-    bool *firm)
+static bool held_step(const Scene s, const Room r, const int lit, const int count, const int row, bool *firm)
 {
     double end[2];
     firm[0] = firm[1] = false;
@@ -270,7 +268,7 @@ static bool held_step(const Scene s, const Room r, const int lit, const int coun
         more = false;
         for (int i = 0; i < 2; ++i)
             if (!firm[i] && leaves(r, lit, lit + 1 + i, end + i)) more = firm[i] = true;
-        if (more) draw_normal(s, r, lit, count, fisher);
+        if (more) draw_normal(s, r, lit, count);
     }
     return true;
 }
@@ -280,7 +278,7 @@ static bool step(const Scene s, const Room r, const int lit, const int count, co
 {
     for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
     bool firm[2];
-    if (!held_step(s, r, lit, count, row, FISHER, firm)) return false;
+    if (!held_step(s, r, lit, count, row, firm)) return false;
     *promised = 0.0;
     for (int k = 0; k < count; ++k) *promised += 0.5 * r.pull[k] * r.move[k];
     if (fabs(*promised) < STILL) return true;
@@ -365,7 +363,7 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         if (box.top >= box.bottom) continue;
         const int slot = s.first + lit;
         const Box wide = widened(box, radius, s.side);
-        Box tiles = common(wide, *body);  // which reach it are read whole
+        Box tiles = in_units(common(wide, *body), s.side);  // which reach it are read whole
         tiles.top = max(tiles.top - tall, body->top);
         tiles.bottom = min(tiles.bottom + tall, body->bottom);
         draw_blurred(s, r, plane, box, tiles, weights, radii, taps, picture_in(s, r, slot));
@@ -548,14 +546,14 @@ __kernel void evidence(
         bool sound = true, still = false;
         for (int round = 0; round < rounds && sound && !still; ++round) {
             products(r.products, s.first + lit, body, r.total);
-            draw_normal(s, r, lit, count, FISHER);
+            draw_normal(s, r, lit, count);
             double promised = 0.0;
             sound = step(s, r, lit, count, row, &promised);
             still = fabs(promised) < STILL;
             if (!still) gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
         }
         if (!still) products(r.products, s.first + lit, body, r.total);
-        draw_normal(s, r, lit, count, 1.0);
+        draw_normal(s, r, lit, count);
         if (details) tell_normal(s, r, count, row, details + pose * told_size(s));
         sound = factorise(r.normal, count, row);
         double logdet = 0.0, squares = 0.0;
@@ -582,8 +580,8 @@ __kernel void evidence(
             bool firm[2] = {false, false};
             solve(r.normal, count, row, r.move);
             if (leaves(r, lit, lit + 1, &end) || leaves(r, lit, lit + 2, &end)) {
-                draw_normal(s, r, lit, count, 1.0);
-                held_step(s, r, lit, count, row, 1.0, firm);
+                draw_normal(s, r, lit, count);
+                held_step(s, r, lit, count, row, firm);
             }
             tell_firm(s, lit, count, firm, details + pose * told_size(s));
             tell(s, r, lit, count, body, details + pose * told_size(s));

@@ -10,10 +10,10 @@ from gpu.device import find_devices
 from gpu.evidence import LightEvidence, open_evidence
 from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import ROUNDS, Fit, fit_light
+from service.inference.model.terms import terms_of
 from service.inference.model.paint import painted
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread, spread
-from service.inference.model.terms import terms_of
 
 KINDS = sorted({report.kind for report in find_devices() if report.rejected is None})
 NATS, RELATIVE = 0.05, 1e-3
@@ -90,8 +90,7 @@ def agrees(answers, k: int, wanted: Fit) -> None:
     assert answers.log_evidence[k] == pytest.approx(wanted.log_evidence, abs=tolerance)
     assert answers.chi2[k] == pytest.approx(wanted.chi2, rel=5e-2, abs=1e-3)  # a pixel is on the body or not
     scale = np.abs(wanted.coefficients).max()
-    close = 3 * RELATIVE  # after few steps, which go as far as a little less curvature lets them
-    np.testing.assert_allclose(answers.coefficients[k], wanted.coefficients, rtol=close, atol=close * scale)
+    np.testing.assert_allclose(answers.coefficients[k], wanted.coefficients, rtol=RELATIVE, atol=RELATIVE * scale)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -23,7 +23,6 @@ _T_CONSTANT = lgamma((_NU + 1) / 2) - lgamma(_NU / 2) - 0.5 * log(_NU * pi)  # e
 ROUNDS = 6  # numerical: of reweighting: the evidence moves by less than 0.1 nats after it
 STILL = 1e-2  # numerical: nats: a step that promises less is not worth another look, and is not taken
 LEAST_LIT = 1e-4  # numerical: of the Sun full on: a plane that shows less is left out
-_FISHER = (_NU + 1) / (_NU + 3)  # exact: of J' W J: what a Student t is expected to tell; with all, steps fall short
 _LONGEST_STEP = 1.5  # numerical: of a log albedo in one round
 _MOST = (np.inf, 1.0)  # prior: of even light, and of the sky that is hidden
 _FIRM = 1e8  # numerical: times the curvature of an unknown that is to go nowhere else
@@ -166,10 +165,10 @@ class _Unknowns:
         return columns, light, model, residual, variance, weight
 
     def step(self) -> float:
-        """One round: weights from the residual, then a step by Fisher scoring, unless it promises too little; nats."""
+        """One round: weights from the residual, then a Gauss-Newton step, unless it promises too little; nats."""
         columns, _, _, residual, _, weight = self._look()
         normal, pull = self._system(columns, residual, weight)
-        move = np.linalg.solve(*self._firm(_FISHER * normal + np.diag(self._precision), pull))
+        move = np.linalg.solve(*self._firm(normal + np.diag(self._precision), pull))
         promised = abs(0.5 * float(pull @ move))
         if promised >= STILL:
             move[: self._n + 1] = np.clip(move[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)
