@@ -10,10 +10,10 @@ from gpu.device import find_devices
 from gpu.evidence import LightEvidence, open_evidence
 from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import ROUNDS, Fit, fit_light
-from service.inference.model.terms import terms_of
 from service.inference.model.paint import painted
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread, spread
+from service.inference.model.terms import terms_of
 
 KINDS = sorted({report.kind for report in find_devices() if report.rejected is None})
 NATS, RELATIVE = 0.05, 1e-3

@@ -13,9 +13,9 @@ from scipy.stats import multivariate_t
 
 from service.inference.model import prior
 from service.inference.model.likelihood import fit_light, t_log_density
-from service.inference.model.terms import Terms, terms_of
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread
+from service.inference.model.terms import Terms, terms_of
 from service.inference.pose import retract
 
 SIZE, SIGMA, CORE, LOW_PASS = 32, 5.0, 1.4, 1.0
