@@ -38,8 +38,10 @@ def painted(terms: Terms, paint: Array) -> Terms:
     return replace(terms, mean=mean.astype(np.float32), precision=precision.astype(np.float32))
 
 
-def learnt(fit: Fit, before: Array, fits: float = 1.0) -> Array:
+def learnt(fit: Fit, before: Array, unsure: Array, fits: float = 1.0) -> Array:
     """(2, P) after a frame that ``fit`` explains, from what was expected: its evidence, and part of the older.
+
+    ``unsure`` (P,): variance that comes of the pose's own, at which the fit is made.
 
     Given the gain, so that what all planes share does not blur what tells them apart. Where it is more likely that
     this is not the body's light (``fits`` below a half) nothing is learnt, and what was known is slowly doubted.
@@ -49,7 +51,7 @@ def learnt(fit: Fit, before: Array, fits: float = 1.0) -> Array:
         out[1] *= prior.PAINT_DOUBTED
         return out
     kept = np.delete(np.arange(len(fit.normal)), n)
-    variance = np.diag(np.linalg.inv(fit.normal[np.ix_(kept, kept)]))[:n]
+    variance = np.diag(np.linalg.inv(fit.normal[np.ix_(kept, kept)]))[:n] + unsure[lit]
     own = fit.precision[:n] - before[1, lit]  # the prior's
     mean = before[0, lit] * before[1, lit] / fit.precision[:n] + fit.deviation[:n]
     total = np.maximum(1 / variance - own, before[1, lit])

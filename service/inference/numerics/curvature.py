@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model.derivatives import across, derivatives
+from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import Fit
 from service.inference.model.prior import CHI2_DEGREES_OF_FREEDOM, POSE_DEGREES_OF_FREEDOM
 from service.inference.model.scene import Images
@@ -63,11 +64,10 @@ def systems_of(
 def _system(
     hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32], known: Array | None
 ) -> tuple[Array, Array, Array]:
-    flat = slopes[:, *fit.window].reshape(len(slopes), -1)
-    weighted = flat * fit.weight[fit.window].ravel()
+    flat, weighted = _weighted(fit, slopes)
     normal = (weighted @ flat.T).astype(np.float64)
     pull = (weighted @ fit.residual[fit.window].ravel()).astype(np.float64)
-    cross = (fit.columns.reshape(len(fit.columns), weighted.shape[1]) @ weighted.T).astype(np.float64)
+    cross = _cross(fit, weighted)
     prior = np.zeros_like(normal)
     _add_prior(hill, prior, pull, pose, sun)
     inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))
@@ -78,6 +78,32 @@ def _system(
         free[range(len(fit.lit)), range(len(fit.lit))] -= known[fit.lit]
     doubted = (normal - cross.T @ np.linalg.solve(free, cross)) / scale_seen(fit.chi2)
     return normal + prior - cross.T @ inner[:, :d], slope, doubted + prior
+
+
+def _weighted(fit: Fit, slopes: Images) -> tuple[Images, Images]:
+    """(D, pixels) slopes in the fit's window, and times its weights."""
+    flat = slopes[:, *fit.window].reshape(len(slopes), -1)
+    return flat, flat * fit.weight[fit.window].ravel()
+
+
+def _cross(fit: Fit, weighted: Images) -> Array:
+    """(M, D) curvature by an unknown of the light and by the pose."""
+    return (fit.columns.reshape(len(fit.columns), weighted.shape[1]) @ weighted.T).astype(np.float64)
+
+
+def paint_unsure(fit: Fit, slopes: Images, covariance: Array) -> Array:
+    """(P,) variance that a pose's own (D, D) gives to the log of each plane's paint, the gain given; 0 where unlit.
+
+    Of a joint normal of paint a and pose z with curvatures A, C, Z the covariance of a is A^-1 + B cov(z) B',
+    B = A^-1 C: paint is learnt from a pose that may be wrong.
+    """
+    n = len(fit.lit)
+    kept = np.delete(np.arange(len(fit.normal)), n)
+    cross = _cross(fit, _weighted(fit, slopes)[1])[kept]
+    leans = np.linalg.solve(fit.normal[np.ix_(kept, kept)], cross)[:n]
+    out = np.zeros(len(fit.coefficients) - EVEN_PLANES)
+    out[fit.lit] = np.einsum("pd,de,pe->p", leans, covariance, leans)
+    return out
 
 
 def scale_seen(chi2: float) -> float:

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model.derivatives import across
-from service.inference.model.drawing import Drawing
+from service.inference.model.drawing import EVEN_PLANES, Drawing
 from service.inference.model.likelihood import Fit
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images
-from service.inference.numerics.curvature import slopes_of, systems_of
+from service.inference.numerics.curvature import paint_unsure, slopes_of, systems_of
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
@@ -65,7 +65,8 @@ class _Climb:
         self._hill, self._believed, self._enough = hill, believed, enough
         self._poses, self._suns = poses, suns.copy()
         self._fits, self._scores = _look(hill, poses, self._suns, believed, np.arange(n))
-        self._curvatures: list[Array] = [np.full((d, d), np.nan)] * n
+        self._curvatures: list[Array] = [np.full((d, d), np.nan)] * n  # stated
+        self._believed_curvatures = self._curvatures.copy()
         self._going = np.ones(n, dtype=bool)
         self._slopes: dict[np.intp, Images] = {}
         self._shifted = np.zeros(n)  # patch px by which a rim moved since its slopes were drawn
@@ -111,11 +112,18 @@ class _Climb:
             self._systems(everybody)
         whole = [c if covariance == "none" else _inverse(c) for c in self._curvatures]
         sun_sigmas = [_sun_sigma(hill, spread, d) for spread in whole]
-        found = zip(self._suns, sun_sigmas, self._fits, self._scores, whole, strict=True)
+        unsure = [self._paint_unsure(k) for k in everybody]
+        found = zip(self._suns, sun_sigmas, self._fits, self._scores, whole, unsure, strict=True)
         return [
-            Refined(self._poses[k : k + 1], sun, sun_sigma, fit, float(score), spread[:d, :d])
-            for k, (sun, sun_sigma, fit, score, spread) in enumerate(found)
+            Refined(self._poses[k : k + 1], sun, sun_sigma, fit, float(score), spread[:d, :d], paint)
+            for k, (sun, sun_sigma, fit, score, spread, paint) in enumerate(found)
         ]
+
+    def _paint_unsure(self, k: np.intp) -> Array:
+        fit = self._fits[k]
+        if k not in self._slopes:
+            return np.zeros(len(fit.coefficients) - EVEN_PLANES)
+        return paint_unsure(fit, self._slopes[k], _inverse(self._believed_curvatures[k]))
 
     def _try(self, at: NDArray[np.intp], moves: Array) -> None:
         """Go where it is higher."""
@@ -142,8 +150,8 @@ class _Climb:
             self._shifted[old] = 0.0
         fits, slopes = [self._fits[k] for k in at], [self._slopes[k] for k in at]
         systems = systems_of(self._hill, self._poses[at], self._suns[at], fits, slopes, self._believed, at)
-        for k, (_, _, curvature) in zip(at, systems, strict=True):
-            self._curvatures[k] = curvature
+        for k, (curvature, _, stated) in zip(at, systems, strict=True):
+            self._curvatures[k], self._believed_curvatures[k] = stated, curvature
         return systems
 
 

@@ -228,7 +228,7 @@ def test_a_wide_basin_is_worth_no_more_beside_a_track_than_a_narrow_one():
     fit = SimpleNamespace(coefficients=np.zeros(7))
 
     def weight(wide: float, level: float | None, siblings: int = 1) -> float:
-        one = Refined(truth(0), SUN, 0.0175, fit, -100.0, wide**2 * np.eye(6))
+        one = Refined(truth(0), SUN, 0.0175, fit, -100.0, wide**2 * np.eye(6), np.zeros(3))
         return born(one, level, siblings, unlearnt(7), noise, domain).log_weight
 
     assert weight(0.5, 0.0) == weight(0.01, 0.0) == pytest.approx(prior.EVIDENCE_TRUST * -100 + np.log(0.1))

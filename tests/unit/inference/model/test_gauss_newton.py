@@ -12,7 +12,7 @@ from service.inference.model.drawing import Quality
 from service.inference.model.likelihood import ROUNDS
 from service.inference.model.scene import Scene, sky_slopes
 from service.inference.model.spread import spread
-from service.inference.numerics.curvature import scale_seen, slopes_of, systems_of
+from service.inference.numerics.curvature import paint_unsure, scale_seen, slopes_of, systems_of
 from service.inference.numerics.gauss_newton import _look, _moved, ascend, within
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
@@ -86,6 +86,24 @@ def test_slope_and_curvature_are_those_of_the_posterior_at_fixed_weights():
         wanted = direction @ curvature @ direction
         assert -(value[0] - 2 * value[1] + value[2]) == pytest.approx(wanted, rel=0.05, abs=10.0)
         assert 0.5 * (value[2] - value[0]) == pytest.approx(slope @ direction, abs=0.03 * wanted + 10.0)
+
+
+def test_paint_is_as_unsure_as_the_joint_normal_of_light_and_pose_says():
+    on = hill(frame())
+    fit = _look(on, pose(), SUN[None])[0][0]
+    slopes = slopes_of(on, pose(), SUN[None], [fit])[0]
+    n, firm = len(fit.lit), 1e2 * np.eye(len(slopes))
+    flat = np.concatenate([fit.columns, slopes[:, *fit.window]]).reshape(-1, fit.columns[0].size).astype(float)
+    joint = (flat * fit.weight[fit.window].ravel()) @ flat.T
+    joint[: len(fit.normal), : len(fit.normal)] = fit.normal
+    joint[len(fit.normal) :, len(fit.normal) :] += firm
+    known = np.delete(joint, n, axis=0)
+    covariance = np.linalg.inv(np.delete(known, n, axis=1))
+    rest = len(fit.normal) - 1
+    alone = np.diag(np.linalg.inv(np.delete(np.delete(fit.normal, n, axis=0), n, axis=1)))[:n]
+    found = paint_unsure(fit, slopes, covariance[rest:, rest:])
+    assert found[fit.lit] == pytest.approx(np.diag(covariance)[:n] - alone, rel=1e-2, abs=1e-3 * alone.max())
+    assert (found[fit.lit] > 0).all() and (np.delete(found, fit.lit) == 0).all()
 
 
 @pytest.mark.parametrize("turn", [(0.035, 0, 0), (0, 0.035, 0), (0, 0, 0.035), (-0.02, 0.02, -0.02)])
