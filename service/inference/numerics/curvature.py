@@ -91,18 +91,18 @@ def _cross(fit: Fit, weighted: Images) -> Array:
     return (fit.columns.reshape(len(fit.columns), weighted.shape[1]) @ weighted.T).astype(np.float64)
 
 
-def paint_unsure(fit: Fit, slopes: Images, covariance: Array) -> Array:
-    """(P,) variance that a pose's own (D, D) gives to the log of each plane's paint, the gain given; 0 where unlit.
+def paint_variance(fit: Fit, slopes: Images, covariance: Array) -> Array:
+    """(P,) of the log of each plane's paint, the gain given, at a pose of (D, D) ``covariance``; infinite where unlit.
 
-    Of a joint normal of paint a and pose z with curvatures A, C, Z the covariance of a is A^-1 + B cov(z) B',
+    Of a joint normal of light a and pose z with curvatures A, C, Z the covariance of a is A^-1 + B cov(z) B',
     B = A^-1 C: paint is learnt from a pose that may be wrong.
     """
     n = len(fit.lit)
     kept = np.delete(np.arange(len(fit.normal)), n)
-    cross = _cross(fit, _weighted(fit, slopes)[1])[kept]
-    leans = np.linalg.solve(fit.normal[np.ix_(kept, kept)], cross)[:n]
-    out = np.zeros(len(fit.coefficients) - EVEN_PLANES)
-    out[fit.lit] = np.einsum("pd,de,pe->p", leans, covariance, leans)
+    light = np.linalg.inv(fit.normal[np.ix_(kept, kept)])[:n]
+    leans = light @ _cross(fit, _weighted(fit, slopes)[1])[kept]
+    out = np.full(len(fit.coefficients) - EVEN_PLANES, np.inf)
+    out[fit.lit] = np.diag(light) + np.sum((leans @ covariance) * leans, axis=1)
     return out
 
 

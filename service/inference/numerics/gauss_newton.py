@@ -15,7 +15,7 @@ from service.inference.model.drawing import EVEN_PLANES, Drawing
 from service.inference.model.likelihood import Fit
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images
-from service.inference.numerics.curvature import paint_unsure, slopes_of, systems_of
+from service.inference.numerics.curvature import paint_variance, slopes_of, systems_of
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
@@ -112,18 +112,18 @@ class _Climb:
             self._systems(everybody)
         whole = [c if covariance == "none" else _inverse(c) for c in self._curvatures]
         sun_sigmas = [_sun_sigma(hill, spread, d) for spread in whole]
-        unsure = [self._paint_unsure(k) for k in everybody]
-        found = zip(self._suns, sun_sigmas, self._fits, self._scores, whole, unsure, strict=True)
+        paint = [self._paint_variance(k, covariance != "none") for k in everybody]
+        found = zip(self._suns, sun_sigmas, self._fits, self._scores, whole, paint, strict=True)
         return [
-            Refined(self._poses[k : k + 1], sun, sun_sigma, fit, float(score), spread[:d, :d], paint)
-            for k, (sun, sun_sigma, fit, score, spread, paint) in enumerate(found)
+            Refined(self._poses[k : k + 1], sun, sun_sigma, fit, float(score), spread[:d, :d], unsure)
+            for k, (sun, sun_sigma, fit, score, spread, unsure) in enumerate(found)
         ]
 
-    def _paint_unsure(self, k: np.intp) -> Array:
+    def _paint_variance(self, k: np.intp, wanted: bool) -> Array:
         fit = self._fits[k]
-        if k not in self._slopes:
-            return np.zeros(len(fit.coefficients) - EVEN_PLANES)
-        return paint_unsure(fit, self._slopes[k], _inverse(self._believed_curvatures[k]))
+        if not wanted or k not in self._slopes:
+            return np.full(len(fit.coefficients) - EVEN_PLANES, np.inf)
+        return paint_variance(fit, self._slopes[k], _inverse(self._believed_curvatures[k]))
 
     def _try(self, at: NDArray[np.intp], moves: Array) -> None:
         """Go where it is higher."""

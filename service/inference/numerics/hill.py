@@ -87,4 +87,4 @@ class Refined:
     fit: Fit
     log_posterior: float  # evidence, and the prior of scale and Sun
     covariance: Array  # (6 + J, 6 + J) rad, frame px, log, deg or model units
-    paint_unsure: Array  # (Q - 4,) variance of log paint that is this pose's: see ``curvature.paint_unsure``
+    paint_variance: Array  # (Q - 4,) of log paint, the gain given: ``curvature.paint_variance``

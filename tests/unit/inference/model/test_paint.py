@@ -10,6 +10,7 @@ from service.inference.model import paint, prior
 from service.inference.model.drawing import Quality
 from service.inference.model.likelihood import Fit, fit_light
 from service.inference.model.terms import terms_of
+from service.inference.numerics.curvature import paint_variance
 from service.inference.pose import retract
 
 SIGMA = 4.0
@@ -40,7 +41,8 @@ def followed(n: int) -> np.ndarray:
     known = paint.unlearnt(planes(0.0).shape[1])
     for k in range(n):
         known = paint.expected(known) if k else known
-        known = paint.learnt(fitted(0.05 * k, k, 700.0 * 1.3 ** (-1) ** k, known), known, np.zeros(known.shape[1]))
+        fit = fitted(0.05 * k, k, 700.0 * 1.3 ** (-1) ** k, known)
+        known = paint.learnt(fit, known, paint_variance(fit, np.zeros((1, VIEW.side, VIEW.side)), np.zeros((1, 1))))
     return known
 
 
@@ -97,9 +99,7 @@ def test_information_adds_up_as_the_fading_memory_says_and_wears_off():
         light = (nothing, 0.0, 1.0, *[nothing] * 6, (slice(0), slice(0)), nothing)
         fit = Fit(*light, np.array([precision, 1.0]), np.array([after - expected, 0.0]), normal, nothing, np.array([0]))
         mean = (known[0, 0] * before + frame * value) / (before + frame)
-        unsure = 0.5 / total  # of which the pose's own is a part
-        fit = replace(fit, normal=np.diag([2 * total, 1.0]))
-        known = paint.learnt(fit, known, np.array([unsure]))
+        known = paint.learnt(fit, known, np.array([1 / total]))
         assert known[0, 0] == pytest.approx(mean)
         assert known[1, 0] == pytest.approx(frame + prior.MEMORY_KEPT * before)
     later = paint.expected(known)
