@@ -252,8 +252,9 @@ static bool leaves(const Room r, const int lit, const int k, double *end)
 }
 
 // The step of all unknowns from their normal matrix and pull: those that would leave their range (`firm`) to its end,
-// and the others to their best with that, until no more would. False: not positive.
-static bool held_step(const Scene s, const Room r, const int lit, const int count, const int row, bool *firm)
+// and the others to their best with that, until no more would. `factorised`: the matrix is. False: not positive.
+static bool held_step(const Scene s, const Room r, const int lit, const int count, const int row, bool factorised,
+    bool *firm)
 {
     double end[2];
     firm[0] = firm[1] = false;
@@ -263,7 +264,8 @@ static bool held_step(const Scene s, const Room r, const int lit, const int coun
                 r.normal[k * row + k] *= FIRM;
                 r.move[k] = r.normal[k * row + k] * (end[i] - r.value[k]);
             }
-        if (!factorise(r.normal, count, row)) return false;
+        if (!factorised && !factorise(r.normal, count, row)) return false;
+        factorised = false;
         solve(r.normal, count, row, r.move);
         more = false;
         for (int i = 0; i < 2; ++i)
@@ -278,7 +280,7 @@ static bool step(const Scene s, const Room r, const int lit, const int count, co
 {
     for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
     bool firm[2];
-    if (!held_step(s, r, lit, count, row, firm)) return false;
+    if (!held_step(s, r, lit, count, row, false, firm)) return false;
     *promised = 0.0;
     for (int k = 0; k < count; ++k) *promised += 0.5 * r.pull[k] * r.move[k];
     if (fabs(*promised) < STILL) return true;
@@ -576,13 +578,8 @@ __kernel void evidence(
         for (int k = 0; k < 3; ++k) drawn[groups + 1 + k] = r.scale[lit + 6 + k] * (float)r.value[lit + 6 + k];
         tell_values(s, r, lit, given_mean + (size_t)pose * every, values + (size_t)pose * s.unknowns);
         if (details) {
-            double end;
-            bool firm[2] = {false, false};
-            solve(r.normal, count, row, r.move);
-            if (leaves(r, lit, lit + 1, &end) || leaves(r, lit, lit + 2, &end)) {
-                draw_normal(s, r, lit, count);
-                held_step(s, r, lit, count, row, firm);
-            }
+            bool firm[2];
+            held_step(s, r, lit, count, row, sound, firm);
             tell_firm(s, lit, count, firm, details + pose * told_size(s));
             tell(s, r, lit, count, body, details + pose * told_size(s));
         }
