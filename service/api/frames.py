@@ -75,7 +75,8 @@ class BackgroundQuery(BaseModel):
     model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
     box: str | None = None
-    """`x,y,w,h` in pixels: learn outside of this box."""
+    """`x,y,w,h` in pixels: learn outside of this box, in which the object is. Where that is no sky but clutter, the
+    object is followed by its outline and texture."""
     border: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = None
     """Pixels: learn from the border of this width only."""
 

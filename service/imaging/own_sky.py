@@ -53,6 +53,11 @@ def filled(image: Map, known: NDArray[np.bool_]) -> Map:
     return np.where(known[..., None], image, np.stack(surfaces, axis=-1))
 
 
+def surface_through(channel: Map, known: NDArray[np.bool_]) -> Map:
+    """(H, W) level, slopes and bends through the ``known`` pixels of one channel."""
+    return _surface(channel, _terms(*channel.shape), known)[0]
+
+
 def _terms(height: int, width: int) -> NDArray[np.float32]:
     """(6, H, W) level, slopes and bends across the image: what stray light and vignetting leave."""
     across, down = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))

@@ -82,6 +82,18 @@ class Mixture:
 
 
 @dataclass(frozen=True)
+class Clutter:
+    """What is known of a body before clutter beside its modes: colours (``imaging.clutter.Palette``), and a picture."""
+
+    body: NDArray[np.float32]  # (B,) log density of its colours
+    clutter: NDArray[np.float32]  # (B,) of what lies about it
+    low: float  # counts that are 0 of 256 grey levels
+    span: float  # counts of all of them
+    picture: NDArray[np.uint8]  # (S, S) the square about the body as it was seen last
+    corner: Array  # (2,) its first corner, frame px
+
+
+@dataclass(frozen=True)
 class FilterState:
     """The weighted posterior after a frame; it can be written to a file and read back bit for bit."""
 
@@ -93,6 +105,7 @@ class FilterState:
     status: str  # one of STATUSES
     memory: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)  # of versions before 2: read, not used
     mixture: Mixture | None = None  # of the method that keeps modes
+    clutter: Clutter | None = None  # of a body before clutter
 
 
 @dataclass(frozen=True)

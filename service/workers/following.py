@@ -12,6 +12,8 @@ from service.imaging.background import Sky
 from service.imaging.decode import Frame as Image
 from service.inference.articulation import Articulation
 from service.inference.belief import Belief, belief_of_mixture
+from service.inference.clutter.step import Surroundings
+from service.inference.clutter.step import step as step_before_clutter
 from service.inference.domain import Domain
 from service.inference.filters.given import Given
 from service.inference.filters.mixture import step
@@ -29,6 +31,7 @@ from service.inference.state import Array, Estimate, FilterState
 from service.inference.symmetry import Symmetry
 from service.workers.base import FrameJob, ReadyJob
 from service.workers.cache import Cache
+from service.workers.cluttered_frame import ClutteredFrame, Lifting
 from service.workers.full_frame import in_full_frame, in_window, scale_in_window
 from service.workers.lit_body import LitBody
 from service.workers.lit_frame import LightOfFrame, region_of
@@ -65,17 +68,30 @@ class Following:
         domain = Domain(width, height, mesh.radius, articulation, config.prior, within)
         key, body, tracking = self._known(job.model, config, mesh, articulation)
         told = replace(told_of(config, domain, job.light), tracking=tracking)
+        rng = stream_of(config, job.frame_index)
+        if sky.clutter is not None:
+            frame = ClutteredFrame.of(image.image, sky.clutter, job.state, lens)
+            lift, where = Lifting(mesh, articulation, lens), sky.clutter.box
+            about = frame, body.middle, where, lift, told, config, domain, twins, lens, n_paint(body)
+            told_of_it = step_before_clutter(rng, job.state, Surroundings(*about, job.frame_index, job.time_s))
+            return self._told(job, config, domain, *told_of_it)
         region = region_of(job.state, job.time_s, mesh.radius, (height, width))
-        frame = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region, lens)
+        light = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region, lens)
         bank = partial(self._bank, key, body, told)
-        given = Given(frame, body, bank, told, config, domain, twins, job.frame_index, job.time_s)
-        stream = np.array([config.filter.seed, job.frame_index], np.uint64)
-        state, estimate = step(np.random.Generator(np.random.Philox(key=stream)), of_body(job.state, body), given)
+        given = Given(light, body, bank, told, config, domain, twins, job.frame_index, job.time_s)
+        state, estimate = step(rng, of_body(job.state, body), given)
+        span = light.span_px
+        estimate = replace(estimate, light_scale=None if span is None else span / (2 * mesh.radius))
+        return self._told(job, config, domain, state, estimate)
+
+    @staticmethod
+    def _told(
+        job: FrameJob, config: SessionConfig, domain: Domain, state: FilterState, estimate: Estimate
+    ) -> tuple[FilterState, Estimate, Belief | None]:
+        """With rates, in pixels of the whole frame, and with what the smoother keeps."""
         belief = None if state.mixture is None else belief_of_mixture(state, state.mixture)
         if job.state is not None and config.motion.kind == "constant_velocity":
             estimate = with_rates(estimate, state, belief, domain)
-        span = frame.span_px
-        estimate = replace(estimate, light_scale=None if span is None else span / (2 * mesh.radius))
         return state, in_full_frame(estimate, job.config.camera), belief
 
     def ready(self, job: ReadyJob, mesh: Mesh, articulation: Articulation) -> None:
@@ -109,6 +125,11 @@ class Following:
         return kept.bank
 
 
+def stream_of(config: SessionConfig, index: int) -> np.random.Generator:
+    """The random numbers of a frame: of the session's seed and its own index alone."""
+    return np.random.Generator(np.random.Philox(key=np.array([config.filter.seed, index], np.uint64)))
+
+
 class _Kept:
     """A bank, and the Sun that it is of."""
 
@@ -121,9 +142,14 @@ class _Kept:
         return float(np.linalg.norm(sun - self._sun)) < _SAME_SUN_RAD
 
 
+def n_paint(body: Body) -> int:
+    """Numbers that are learnt of a body's surfaces."""
+    return body.fine.n_groups * (1 + len(GLOSS_LOBES)) + EVEN_PLANES
+
+
 def of_body(state: FilterState | None, body: Body) -> FilterState | None:
     """A state whose modes know as many surfaces as the body has: another version may have cut it otherwise."""
-    fresh = unlearnt(body.fine.n_groups * (1 + len(GLOSS_LOBES)) + EVEN_PLANES)
+    fresh = unlearnt(n_paint(body))
     if state is None or state.mixture is None or state.mixture.paint.shape[-1] == fresh.shape[-1]:
         return state
     fresh = np.tile(fresh, (len(state.mixture.poses), 1, 1))

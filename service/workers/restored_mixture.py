@@ -1,13 +1,14 @@
-"""The modes of a checkpoint (``state.Mixture``), held against what the filter will take for granted."""
+"""Modes and clutter of a checkpoint (``inference.state``), held against what the filter will take for granted."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from service.inference.state import Array, Mixture
+from service.imaging.clutter import SIZES
+from service.inference.state import Array, Clutter, Mixture
 
 _LARGEST = 1e9  # px, degrees, seconds, units: whatever is larger is no state of a track
-_MOST_MODES, _MOST_SPAN_PX = 64, 1e5
+_MOST_MODES, _MOST_SPAN_PX, _MOST_SIDE = 64, 1e5, 1 << 14
 _UNIT = 1e-6  # how far a length or a sum of probabilities may be from 1
 
 
@@ -76,3 +77,20 @@ def _check_numbers(mixture: Mixture) -> None:
     for name, (value, kind, low, high) in bounds.items():
         if type(value) is not kind or not low <= value <= high:
             raise ValueError(f"the mixture's {name} is {value!r}")
+
+
+def check_clutter(known: Clutter) -> None:
+    """Raises ``ValueError`` where this is nothing that is known of a body before clutter."""
+    for density in (known.body, known.clutter):
+        if density.dtype != np.float32 or density.shape not in [(size,) for size in SIZES]:
+            raise ValueError(f"colours are {density.dtype} {density.shape}")
+        if not (np.abs(density) <= _LARGEST).all() or density.shape != known.body.shape:
+            raise ValueError("colours are not finite, or of two kinds")
+    picture, corner = known.picture, known.corner
+    if picture.ndim != 2 or picture.dtype != np.uint8 or not 1 <= picture.shape[0] == picture.shape[1] <= _MOST_SIDE:
+        raise ValueError(f"the last picture is {picture.dtype} {picture.shape}")
+    if corner.shape != (2,) or corner.dtype != np.float64 or not (np.abs(corner) <= _LARGEST).all():
+        raise ValueError("the last picture's corner is no place")
+    for value, least in ((known.low, -_LARGEST), (known.span, 1e-9)):
+        if type(value) is not float or not least <= value <= _LARGEST:
+            raise ValueError(f"grey levels from {known.low!r} on, over {known.span!r}")

@@ -14,7 +14,7 @@ from service.inference.state import STATUSES, FilterState
 from service.workers.base import RestoreJob, RestoreReport
 from service.workers.codec import decode
 from service.workers.full_frame import camera_window
-from service.workers.restored_mixture import check_mixture
+from service.workers.restored_mixture import check_clutter, check_mixture
 
 _LARGEST = 1e9  # px, degrees, seconds, units: whatever is larger is no state of a track
 _UNIT = 1e-6  # how far a quaternion's length, or a sum of weights, may be from 1
@@ -68,6 +68,8 @@ def check_state(state: FilterState, n_joints: int) -> None:
     _check_memory(state.memory)
     if state.mixture is not None:
         check_mixture(state.mixture, n_joints)
+    if state.clutter is not None:
+        check_clutter(state.clutter)
 
 
 def _check_memory(memory: Mapping[str, NDArray[np.generic]]) -> None:

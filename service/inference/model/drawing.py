@@ -96,6 +96,11 @@ class Lens:
     focal: float
     middle: tuple[float, float]
 
+    def seen(self, points: Array) -> Array:
+        """(..., 2) where points (..., 3), placed as if the body were far away, are seen (``gpu.lens``)."""
+        middle = np.asarray(self.middle)
+        return np.asarray(middle + (points[..., :2] - middle) / (1 + points[..., 2:] / self.focal))
+
     def aimed(self, poses: Poses) -> Poses:
         """Poses that were told as if each were looked at along the optical axis."""
         ray = np.column_stack([(poses.position - self.middle) / self.focal, np.ones(len(poses))])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.inference.state import FilterState, Mixture, Poses
+from service.inference.state import Clutter, FilterState, Mixture, Poses
 from service.workers.restoring import check_state
 
 MIXTURE = Mixture(
@@ -73,3 +73,36 @@ def test_modes_as_the_filter_keeps_them_are_taken():
 def test_modes_that_are_none_are_refused(broken):
     with pytest.raises(ValueError, match="mixture"):
         check_state(state(replace(MIXTURE, **broken)), 1)
+
+
+CLUTTER = Clutter(
+    np.full(256, -5.0, np.float32),
+    np.full(256, -6.0, np.float32),
+    0.0,
+    255.0,
+    np.zeros((40, 40), np.uint8),
+    np.zeros(2),
+)
+
+
+def test_clutter_as_the_filter_keeps_it_is_taken():
+    check_state(replace(state(MIXTURE), clutter=CLUTTER), 1)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"body": np.full(255, -5.0, np.float32)},
+        {"body": np.full(4096, -5.0, np.float32)},
+        {"clutter": np.full(256, np.nan, np.float32)},
+        {"clutter": np.full(256, -5.0)},
+        {"span": 0.0},
+        {"low": float("nan")},
+        {"picture": np.zeros((40, 39), np.uint8)},
+        {"picture": np.zeros((40, 40))},
+        {"corner": np.array([0.0, np.inf])},
+    ],
+)
+def test_other_clutter_is_refused(broken):
+    with pytest.raises(ValueError):
+        check_state(replace(state(MIXTURE), clutter=replace(CLUTTER, **broken)), 1)
