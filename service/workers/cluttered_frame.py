@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gpu.lens import NO_LENS, seen_through, where_seen
 from gpu.mesh import Mesh
 from gpu.zbuffer import rasterise
-from service.imaging.clutter import Bins, Map, Palette, edges, features
+from service.imaging.clutter import Bins, Map, Palette, edges, features, palette_of
 from service.imaging.clutter import Clutter as WithinBox
 from service.inference.articulation import Articulation, part_transforms
 from service.inference.clutter.first import Box, Square
@@ -58,11 +58,15 @@ class ClutteredFrame:
         out = self.palette.log_ratio_of(self._bins)
         if self.only is None:
             return out
-        x, y, width, height = (round(v) for v in self.only)
+        x, y, width, height = _rounded(self.only)
         held = np.full_like(out, _ELSEWHERE)
         part = slice(max(y, 0), y + height), slice(max(x, 0), x + width)
         held[part] = out[part]
         return held
+
+    def narrowed(self, box: Box) -> ClutteredFrame:
+        """The same, colours learnt as if the body were told to lie in this box."""
+        return replace(self, palette=palette_of(self.image, _rounded(box)))
 
     def outlook(self, drawing: Drawing, square: Square, side: int) -> Outlook:
         """log c on a patch of at most so many px a side."""
@@ -109,6 +113,11 @@ class ClutteredFrame:
         """What the next frame is told."""
         known = self.palette
         return Clutter(known.body, known.clutter, known.low, known.span, picture, corner)
+
+
+def _rounded(box: Box) -> tuple[int, int, int, int]:
+    x, y, width, height = (round(v) for v in box)
+    return x, y, max(width, 1), max(height, 1)
 
 
 def _whole(square: Square, side: int) -> tuple[tuple[int, int], int, int]:

@@ -14,7 +14,7 @@ from service.inference.clutter.settling import Expected, Settled, settle
 from service.inference.model.drawing import Drawing, Images, Lens, View
 from service.inference.model.templates import drawn_joints, rotations
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import angle_between, concatenate
+from service.inference.pose import angle_between
 from service.inference.state import Array, Poses
 
 Square = tuple[tuple[float, float], float]  # its middle and side, frame px
@@ -22,7 +22,7 @@ Box = tuple[float, float, float, float]  # x, y, width, height; frame px
 Same = Callable[[Poses, Poses], NDArray[np.bool_]]  # (1) and (N) poses: (N,) which are one answer with it
 _TURNS = 4_500  # numerical: 12 degrees apart
 _PLACED = 2  # numerical: times that each is brought into the box
-_SIZES = (1.0, 0.85, 0.7)  # numerical: that are tried: a box may be loose
+_BOXES = (1.0, 0.8, 0.65)  # numerical: shares of the told box that are tried: it may be loose
 _PAD = 0.05  # prior: of a told box's sides that lies about the body
 _SHOWN = 0.3  # numerical: of a pixel that is covered, from which on it counts for an outline's extent
 _SIGHT = 1.6  # numerical: of the box's longer side that is looked at
@@ -43,7 +43,7 @@ class _Stage:
 
 # numerical: all of them
 _STAGES = (
-    _Stage(48, 80, 6, 32, (0.15, 0.06, 0.12, 0.1)),
+    _Stage(48, 30, 6, 32, (0.15, 0.06, 0.12, 0.1)),
     _Stage(64, 16, 4, 64, (0.1, 0.03, 0.04, 0.06)),
     _Stage(64, 8, 4, 64, (0.08, 0.02, 0.03, 0.04)),
     _Stage(96, 6, 4, 96, (0.06, 0.02, 0.02, 0.03)),
@@ -56,6 +56,10 @@ class Coloured(Protocol):
 
     def outlook(self, drawing: Drawing, square: Square, side: int) -> Outlook:
         """log c on a patch."""
+        ...
+
+    def narrowed(self, box: Box) -> Self:
+        """The same, colours learnt as if the body were told to lie in this box."""
         ...
 
     def learnt(self, view: View, inside: Images, kept: float = 0.0) -> Self:
@@ -81,22 +85,56 @@ def search(
 
     Outline and colours are found in turns: each tells more of the other.
     """
-    x, y, width, height = box
-    square = (x + 0.5 * width, y + 0.5 * height), _SIGHT * max(width, height)
-    outlook = frame.outlook(drawing, square, _FIRST_SIDE)
-    poses = _in_box(outlook, box, told, lens)
-    found, spans = Settled(poses, np.empty((len(poses), 0, 0)), outlook.score(poses)), drawing.articulation.spans
-    for number, stage in enumerate(_STAGES):
-        found = found[_apart(found, stage.kept, spans, same if number > 1 else None)]
-        outlook = frame.outlook(drawing, square, stage.side)
-        spread = start(drawing, found.poses, stage.spread)
-        size = _told_size(found.poses, told)
+    look = _Look(rng, drawing, told, lens, box)
+    tries = [look.begun(frame, share) for share in _BOXES]
+    found, frame = max(tries, key=look.sharpness)
+    for stage in _STAGES[1:]:
+        found = found[_apart(found, stage.kept, drawing.articulation.spans, same)]
+        found, frame = look.climbed(found, frame, stage)
+    return found[_apart(found, _STAGES[-1].kept, drawing.articulation.spans, same)], frame
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A search of one frame."""
+
+    rng: np.random.Generator
+    drawing: Drawing
+    told: PosePrior
+    lens: Lens | None
+    box: Box
+
+    @property
+    def square(self) -> Square:
+        """What is looked at."""
+        x, y, width, height = self.box
+        return (x + 0.5 * width, y + 0.5 * height), _SIGHT * max(width, height)
+
+    def begun(self, frame: F, share: float) -> tuple[Settled, F]:
+        """The first stage, as if the told box were smaller by ``share``."""
+        x, y, width, height = self.box
+        inner = x + 0.5 * (1 - share) * width, y + 0.5 * (1 - share) * height, share * width, share * height
+        frame = frame.narrowed(inner)
+        outlook = frame.outlook(self.drawing, self.square, _FIRST_SIDE)
+        poses = _in_box(outlook, inner, self.told, self.lens)
+        found = Settled(poses, np.empty((len(poses), 0, 0)), outlook.score(poses))
+        found = found[_apart(found, _STAGES[0].kept, self.drawing.articulation.spans, None)]
+        return self.climbed(found, frame, _STAGES[0])
+
+    def sharpness(self, one: tuple[Settled, F]) -> float:
+        """How much the best outline tells for its size: what it loses where it lies beside its rim."""
+        found, frame = one
+        covered = frame.outlook(self.drawing, self.square, _FIRST_SIDE).covered(found.poses[np.array([0])])
+        return float(found.nats[0] / np.sqrt(max(float(covered.sum()), 1.0)))
+
+    def climbed(self, found: Settled, frame: F, stage: _Stage) -> tuple[Settled, F]:
+        """Poses at their best, best first, and the frame with what they tell of colours."""
+        outlook = frame.outlook(self.drawing, self.square, stage.side)
+        spread, size = start(self.drawing, found.poses, stage.spread), _told_size(found.poses, self.told)
         climb = {"rounds": stage.rounds, "draws": stage.draws}
-        found = settle(rng, outlook, found.poses, spread, expected=size, **climb)
+        found = settle(self.rng, outlook, found.poses, spread, expected=size, **climb)
         found = found[np.argsort(-found.nats)]
-        if number < len(_STAGES) - 1:
-            frame = frame.learnt(outlook.view, _share(outlook, found))
-    return found[_apart(found, _STAGES[-1].kept, spans, same)], frame
+        return found, frame.learnt(outlook.view, _share(outlook, found))
 
 
 def start(drawing: Drawing, poses: Poses, spread: tuple[float, float, float, float]) -> Array:
@@ -140,9 +178,7 @@ def _in_box(outlook: Outlook, box: Box, told: PosePrior, lens: Lens | None) -> P
         poses = replace(
             poses, position=poses.position + middle - 0.5 * (low + high), log_scale=poses.log_scale + larger
         )
-    if told.log_scale is not None:
-        return poses
-    return concatenate(*[replace(poses, log_scale=poses.log_scale + np.log(size)) for size in _SIZES])
+    return poses
 
 
 def _extent(outlook: Outlook, poses: Poses) -> tuple[Array, Array]:
