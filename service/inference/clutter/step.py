@@ -19,6 +19,7 @@ from service.inference.clutter.flow import Lift, Moved, Picture, follow, moved
 from service.inference.clutter.judging import judged, status_of, told
 from service.inference.clutter.settling import Expected, Settled, settle
 from service.inference.domain import Domain
+from service.inference.estimate import short_way
 from service.inference.filters.answer import drawn, estimate_of
 from service.inference.filters.status import one_answer
 from service.inference.model import existence, prior
@@ -99,8 +100,9 @@ def _born(rng: np.random.Generator, given: Surroundings) -> tuple[_Modes, Clutte
 
 def _alike(one: Poses, others: Poses, given: Surroundings) -> NDArray[np.bool_]:
     """(N,) whether they are one answer: turned alike, or as a body of this shape cannot be told from."""
-    turned = one_answer(one, others, given.twins, given.domain)
-    return turned & (np.abs(others.joints - one.joints) <= SAME_JOINT * given.domain.articulation.spans).all(axis=1)
+    turned, spans = one_answer(one, others, given.twins, given.domain), given.domain.articulation.spans
+    apart = np.abs(short_way(others.joints - one.joints, given.domain.wrapping))
+    return np.asarray(turned & (apart <= SAME_JOINT * spans).all(axis=1))
 
 
 def _followed(
@@ -178,13 +180,14 @@ def _concluded(
     rng: np.random.Generator, modes: _Modes, frame: Cluttered, before: Mixture | None, dt_s: float, given: Surroundings
 ) -> tuple[FilterState, Estimate]:
     """Prune, judge and tell."""
-    kept = _pruned(modes, given)
-    chosen = modes.log_weights[kept] - np.logaddexp.reduce(modes.log_weights[kept])
+    kept, log_weights = _pruned(modes, given)
     poses = modes.settled.poses[kept]
     square = _square(given.drawing, poses[:1])
     outlook = frame.outlook(given.drawing, square, _SIDE)
     here, fit = judged(outlook, poses[:1], existence.expected(None if before is None else before.existence, dt_s))
-    frame = frame.learnt(outlook.view, outlook.covered(poses[:1])[0], 0.0 if before is None else prior.COLOURS_KEPT)
+    known = 0.0 if before is None else prior.COLOURS_KEPT
+    if here[existence.FITS] >= 0.5:  # what else lies there has other colours
+        frame = frame.learnt(outlook.view, outlook.covered(poses[:1])[0], known)
     k = len(kept)
     mixture = Mixture(
         poses=poses,
@@ -193,7 +196,7 @@ def _concluded(
         suns=np.tile([0.0, 0.0, -1.0], (k, 1)),
         sun_sigmas=np.full(k, np.pi),
         paint=np.zeros((k, 2, given.n_paint)),
-        log_weights=chosen,
+        log_weights=log_weights,
         existence=here,
         point_spread=np.array([prior.CORE_PX, 0.0]),
         discrepancy=prior.DISCREPANCY,
@@ -216,14 +219,18 @@ def _concluded(
     return state, estimate
 
 
-def _pruned(modes: _Modes, given: Surroundings) -> NDArray[np.intp]:
-    """The heaviest, heaviest first; those that are one answer are one."""
-    kept: list[int] = []
-    top = modes.log_weights.max()
-    for k in np.argsort(-modes.log_weights):
-        held = modes.settled.poses[np.array(kept, dtype=np.intp)]
-        if kept and _alike(modes.settled.poses[k : k + 1], held, given).any():
-            continue
-        if len(kept) < _MOST_MODES and modes.log_weights[k] > top + np.log(_LEAST):
+def _pruned(modes: _Modes, given: Surroundings) -> tuple[NDArray[np.intp], Array]:
+    """The heaviest, heaviest first, and logs of their weights; those that are one answer are one."""
+    log_weights, kept = modes.log_weights - np.logaddexp.reduce(modes.log_weights), list[int]()
+    for k in np.argsort(-log_weights):
+        same = np.zeros(len(kept), bool)
+        if kept:
+            same = _alike(modes.settled.poses[k : k + 1], modes.settled.poses[np.array(kept)], given)
+        if same.any():
+            first = kept[int(np.argmax(same))]
+            log_weights[first] = np.logaddexp(log_weights[first], log_weights[k])
+        elif len(kept) < _MOST_MODES and (not kept or log_weights[k] > np.log(_LEAST)):
             kept.append(int(k))
-    return np.array(kept)
+    which = np.array(kept)
+    which = which[np.argsort(-log_weights[which])]
+    return which, log_weights[which] - np.logaddexp.reduce(log_weights[which])
