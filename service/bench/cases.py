@@ -51,7 +51,7 @@ class TruthFrame:
 class Case:
     """One pass. ``backgrounds`` and ``frames`` start anew at every call; images are PNG files.
 
-    Without a background the sky is learned from the border of the first frame.
+    Without a background the sky is learned from the first frame, outside of ``box`` or in its border.
     """
 
     name: str
@@ -63,6 +63,7 @@ class Case:
     symmetries: tuple[Array, ...] | None = None  # (3, 3) each; None: the model's own twins
     facts: Mapping[str, float] = field(default_factory=dict)  # known conditions, such as ``d_over_r0``
     towards_sun: Array | None = None  # (3,) camera axes: x right, y down, z away
+    box: tuple[float, float, float, float] | None = None  # x, y, width, height about the body in the first frame
     scale_prior: tuple[float, float] | None = None  # px per model unit, and its relative error, as a range would tell
 
 

@@ -43,6 +43,7 @@ class SequenceFolder:
             symmetries=listed_symmetries(file, described.get("symmetry", ())),
             facts=_facts(described.get("note", "")),
             towards_sun=_direction(described.get("light", {}).get("towards_sun")),
+            box=_box(described.get("box")),
             scale_prior=_scale_prior(described.get("scale_prior")),
         )
 
@@ -102,6 +103,13 @@ def _facts(note: str) -> dict[str, float]:
 
 def _direction(listed: Sequence[float] | None) -> Array | None:
     return None if listed is None else np.array(listed, dtype=np.float64)
+
+
+def _box(listed: Sequence[float] | None) -> tuple[float, float, float, float] | None:
+    if listed is None:
+        return None
+    x, y, width, height = (float(value) for value in listed)
+    return x, y, width, height
 
 
 def _scale_prior(described: Mapping[str, float] | None) -> tuple[float, float] | None:

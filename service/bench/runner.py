@@ -151,14 +151,15 @@ def open_session(tracker: Tracker, case: Case, entry: Entry, backgrounds: Sequen
 
 
 def learned_sky(tracker: Tracker, case: Case, config: SessionConfig, backgrounds: Sequence[bytes]) -> bytes:
-    """The sky, of empty frames; where there is none, of the first frame's border."""
+    """The sky, of empty frames; where there is none, of the first frame outside of the told box, or of its border."""
     learned: bytes | None = None
     for body in backgrounds:
         learned = tracker.learn_background(BackgroundJob(config, body, _PNG, learned)).background
     if learned is None:
         first, _ = next(case.frames())
-        border = BackgroundJob(config, first, _PNG, None, border_px=case.size[0] // _BORDER_SHARE)
-        learned = tracker.learn_background(border).background
+        border = None if case.box else case.size[0] // _BORDER_SHARE
+        job = BackgroundJob(config, first, _PNG, None, box=case.box, border_px=border)
+        learned = tracker.learn_background(job).background
     return learned
 
 

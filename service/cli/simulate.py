@@ -35,6 +35,9 @@ def simulate(
     tle: Annotated[Path | None, typer.Option(help="File with the elements of the satellite of that pass.")] = None,
     time: Annotated[str | None, typer.Option(help="When it begins: ISO 8601, UTC unless it says otherwise.")] = None,
     up_angle: Annotated[float, typer.Option(help="From celestial north to the image's up, degrees.")] = 0.0,
+    ground: Annotated[
+        float, typer.Option(min=0, max=10, help="Brightest of a ground behind the body, in white facets in the Sun.")
+    ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON about each pass.")] = False,
 ) -> None:
     """Make a simulated pass: background and frames as PNG, truth.csv, case.json and the mesh."""
@@ -48,7 +51,7 @@ def simulate(
     wanted = None if size is None else parse_size(size)
     if random:
         for k in range(random):
-            scenario = random_scenario(materials, pass_seed(seed, k), wanted, frames)
+            scenario = before_ground(random_scenario(materials, pass_seed(seed, k), wanted, frames), ground)
             _write_all(models[k % len(models)], scenario, overs, out / f"pass_{k:03d}", joints, as_json)
         return
     if preset not in PRESETS:
@@ -56,7 +59,7 @@ def simulate(
     if len(models) != 1:
         raise typer.BadParameter("several meshes need --random", param_hint="--mesh")
     scenario = replace(PRESETS[preset](), seed=seed, materials=known_materials(materials))
-    scenario = replace(scenario, size=wanted or scenario.size)
+    scenario = before_ground(replace(scenario, size=wanted or scenario.size), ground)
     if frames is not None:
         scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
     _write_all(models[0], scenario, overs, out, joints, as_json)
@@ -70,6 +73,13 @@ def random_scenario(materials: str | None, seed: int, size: tuple[int, int] | No
     draw = {"painted": randomised, "mixed": randomised_mixed}[known_materials(materials)]
     given: dict[str, Any] = {"size": size, "frames": frames}
     return draw(seed, **{name: value for name, value in given.items() if value is not None})
+
+
+def before_ground(scenario: Scenario, brightest: float) -> Scenario:
+    """The pass as a camera above the body sees it: a ground that drifts, no frame without the body."""
+    if not brightest:
+        return scenario
+    return replace(scenario, background_frames=0, camera=replace(scenario.camera, ground=brightest))
 
 
 def known_materials(name: str | None) -> Materials:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 _CLOUDS_ACROSS = 12.0
+_GROUND_POWER = 2.0  # of the amplitude of a wave with its length
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -47,6 +48,10 @@ class Camera:
     """Electrons of the brightest; the others are fainter by a power law."""
     star_rate_px_s: tuple[float, float] = (-20.0, 12.0)
     """Drift of the stars."""
+    ground: float = 0.0
+    """Brightest of a ground behind the body, in white facets that face the Sun."""
+    ground_rate_px_s: tuple[float, float] = (30.0, 20.0)
+    """Drift of the ground."""
 
     @property
     def channels(self) -> int:
@@ -64,6 +69,15 @@ class Sensor:
         self._star_light = camera.star_e * rng.uniform(0.05, 1.0, camera.stars) ** 2
         if camera.cloud > 0:
             self._sky = self._sky * (1.0 + camera.cloud * _cloud(size, rng))[..., None]
+        self._ground = _ground(2 * max(size), rng) if camera.ground > 0 else None
+
+    def ground_layer(self, time_s: float) -> NDArray[np.float32] | None:
+        """(H, W) light of the ground at a time, in white facets; None: there is none. It repeats itself."""
+        if self._ground is None:
+            return None
+        width, height = self._size
+        right, down = (round(rate * time_s) for rate in self._camera.ground_rate_px_s)
+        return np.roll(self._ground, (down, right), (0, 1))[:height, :width] * np.float32(self._camera.ground)
 
     def star_layer(self, time_s: float, exposure_s: float) -> NDArray[np.float32]:
         """(H, W) electrons of the stars at a time, as short trails, before the air and the optics."""
@@ -86,10 +100,13 @@ class Sensor:
         coverage: NDArray[np.float32],
         stars: NDArray[np.float32],
         rng: np.random.Generator,
+        ground: NDArray[np.float32] | None = None,
     ) -> Image:
-        """An image, (H, W) or (H, W, 3): the body's light (1 is white in full sun), its coverage, the stars."""
+        """An image, (H, W) or (H, W, 3): the body's light (1 is white in full sun), its coverage, stars and ground."""
         camera = self._camera
         open_sky = (1.0 - (1.0 - camera.airlight) * coverage)[..., None] * self._sky
+        if ground is not None:
+            radiance = radiance + (1.0 - coverage) * ground
         colour = np.array(camera.body_colour if camera.colour else (1.0,))
         starlight = ((1.0 - coverage) * stars)[..., None]
         electrons = open_sky + camera.signal_e * radiance[..., None] * colour + starlight
@@ -106,6 +123,15 @@ def _cloud(size: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float6
     width, height = size
     smooth = gaussian_filter(rng.standard_normal((height, width)), max(size) / _CLOUDS_ACROSS)
     return np.asarray((smooth - smooth.mean()) / max(float(smooth.std()), 1e-12), dtype=np.float64)
+
+
+def _ground(side: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """(side, side) from 0 to 1, of as many scales as there are, each as strong as it is wide; its edges meet."""
+    frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None])
+    frequency[0, 0] = np.inf
+    waves = np.fft.rfft2(rng.standard_normal((side, side))) / frequency**_GROUND_POWER
+    image = np.fft.irfft2(waves, (side, side))
+    return np.asarray((image - image.min()) / np.ptp(image), np.float32)
 
 
 def _sky(camera: Camera, size: tuple[int, int]) -> NDArray[np.float64]:

@@ -27,6 +27,7 @@ from service.simulate.sequence import RANGE_ERROR, SimulatedPass
 POINTING = "pointing.csv"
 _COAXIAL_TOLERANCE = 1e-6
 _UNIT_M = 1.0
+_BOX_SHARE, _COVERED = 0.06, 0.5  # of the longer side that a box leaves free; of a pixel that is the body's
 _ARCSECOND = np.pi / 648_000
 
 
@@ -82,8 +83,17 @@ def describe(simulated: SimulatedPass, name: str, mesh_name: str) -> dict[str, A
         "joints": [_joint_entry(simulated, joint) for joint in moving_joints(simulated)],
         "light": {"towards_sun": [round(float(value), 6) for value in simulated.light(0).direction()]},
         "scale_prior": {"px": round(simulated.told_scale, 6), "relative_sigma": RANGE_ERROR},
+        **({"box": told_box(simulated)} if scenario.camera.ground else {}),
         **_overflight_entries(simulated),
     }
+
+
+def told_box(simulated: SimulatedPass) -> list[int]:
+    """A box (x, y, width, height) about the body in frame 1, as a person draws it."""
+    rows, columns = np.nonzero(simulated.picture(0).coverage > _COVERED)
+    spans = int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1
+    about = round(_BOX_SHARE * max(spans)) + 1
+    return [int(columns.min()) - about, int(rows.min()) - about, spans[0] + 2 * about, spans[1] + 2 * about]
 
 
 def moving_joints(simulated: SimulatedPass) -> list[Joint]:

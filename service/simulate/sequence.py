@@ -85,7 +85,8 @@ class SimulatedPass:
             stars = sensor.star_layer(float(time_s), scenario.motion.frame_interval_s)
             layers = air.expose(picture.radiance, picture.coverage, stars)
             radiance, coverage, stars = layers
-            yield sensor.read(radiance * np.float32(air.gain()), coverage, stars, noise)
+            light = radiance * np.float32(air.gain())
+            yield sensor.read(light, coverage, stars, noise, sensor.ground_layer(float(time_s)))
 
     def _empty(self) -> Picture:
         nothing = np.zeros(self.scenario.size[::-1], dtype=np.float32)

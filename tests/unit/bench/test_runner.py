@@ -8,7 +8,9 @@ import pytest
 
 from service.bench.folder import SequenceError, find_sequences, listed_symmetries
 from service.bench.passes import random_case, simulated_case
-from service.bench.runner import Entry, Terms, run_case
+from service.bench.runner import Entry, Terms, learned_sky, run_case
+from service.cli.simulate import before_ground
+from service.imaging.background import Background, derive
 from service.sessions.config import effective
 from service.simulate.folder import write_sequence
 from service.simulate.scenario import PRESETS, randomised
@@ -54,6 +56,19 @@ def test_entries_do_not_disturb_each_other(tracker, satellite, scenario):
     one, other = run_case(tracker, case, entries("one", "other"), terms=Terms(limit=2), progress=heard.append)
     assert (one.entry, other.entry, heard, one.n_joints) == ("one", "other", [1, 2], 0)
     assert [f.orientation_deg for f in one.frames] == [f.orientation_deg for f in other.frames]
+
+
+def test_a_pass_before_a_ground_is_told_the_box_of_its_body(tracker, shelf, satellite, scenario, tmp_path):
+    motion = replace(scenario.motion, frames=2, outage=None)
+    there = replace(before_ground(scenario, 2.0), motion=motion)
+    simulated = SimulatedPass(satellite.mesh, satellite.articulation, there)
+    write_sequence(simulated, tmp_path / "one", "demo.glb", satellite.data)
+    case = find_sequences(tmp_path)[0].case(shelf)
+    x, y, width, height = case.box
+    covered = simulated.picture(0).coverage > 0.5
+    assert covered.sum() == covered[int(y) : int(y + height), int(x) : int(x + width)].sum() > 0
+    sky = derive(Background.from_bytes(learned_sky(tracker, case, effective({}), [])), "auto", 1.0)
+    assert sky.clutter is not None and list(case.backgrounds()) == []
 
 
 def test_random_passes_differ_by_their_seed(satellite):

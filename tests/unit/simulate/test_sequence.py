@@ -83,6 +83,21 @@ def test_signal_and_noise_are_those_of_the_sensor():
     assert (sensor.read(white, white, nothing[:20, :20], np.random.default_rng(1)) == 255).all()
 
 
+def test_a_ground_drifts_behind_the_body_and_is_hidden_by_it():
+    camera = Camera(bits=16, signal_e=4000.0, ground=0.5, ground_rate_px_s=(30.0, -20.0), read_noise_e=0.0)
+    sensor = Sensor(camera, (60, 40), np.random.default_rng(0))
+    first, second = sensor.ground_layer(0.0), sensor.ground_layer(0.1)
+    assert first.shape == (40, 60) and 0 <= first.min() < first.max() <= 0.5
+    assert np.array_equal(first[2:, :-3], second[:-2, 3:])
+    nothing, half = np.zeros((40, 60), np.float32), np.zeros((40, 60), np.float32)
+    half[:, :30] = 1.0
+    image = sensor.read(nothing, half, nothing, np.random.default_rng(1), first).astype(float)
+    dark = camera.bias_counts + camera.sky_e[1] / camera.electrons_per_count
+    assert image[:, :30].mean() == pytest.approx(dark, abs=0.2)
+    assert image[:, 30:].mean() == pytest.approx(dark + first[:, 30:].mean() * 1000, rel=0.01)
+    assert Sensor(Camera(), (60, 40), np.random.default_rng(0)).ground_layer(0.0) is None
+
+
 def test_the_folder_has_the_shape_of_the_benchmarks(demo, tmp_path):
     data, mesh, articulation = demo
     scenario = short(replace(PRESETS["outage"](), size=(96, 80)), frames=4)
