@@ -28,12 +28,13 @@ _RIM_PX = 1.0  # numerical: of an outline that is neither the body's nor clutter
 
 @dataclass(frozen=True)
 class ClutteredFrame:
-    """One frame (H, W) or (H, W, 3); ``only``: the body lies in this box."""
+    """One frame (H, W) or (H, W, 3), or its part about the body; ``only``: the body lies in this box."""
 
     image: NDArray[np.generic]
     palette: Palette
     only: Box | None = None
     lens: Lens | None = None
+    corner: tuple[int, int] = (0, 0)  # of the part's first pixel in the frame
 
     @staticmethod
     def of(
@@ -43,7 +44,13 @@ class ClutteredFrame:
         held = None if state is None else state.clutter
         if held is None or held.body.shape != known.palette.body.shape:
             return ClutteredFrame(image, known.palette, known.box, lens)
-        return ClutteredFrame(image, Palette(held.body, held.clutter, held.low, held.span), None, lens)
+        palette, side = Palette(held.body, held.clutter, held.low, held.span), len(held.picture)
+        x, y = (int(value) for value in held.corner)
+        left, top = max(x - side, 0), max(y - side, 0)  # it does not move by more than what was looked at
+        part = image[top : max(y + 2 * side, 0), left : max(x + 2 * side, 0)]
+        if not part.size:
+            return ClutteredFrame(image, palette, None, lens)
+        return ClutteredFrame(part, palette, None, lens, (left, top))
 
     @cached_property
     def _bins(self) -> Bins:
@@ -66,19 +73,24 @@ class ClutteredFrame:
 
     def narrowed(self, box: Box) -> ClutteredFrame:
         """The same, colours learnt as if the body were told to lie in this box."""
-        return replace(self, palette=palette_of(self.image, _rounded(box)))
+        return self._with(palette_of(self.image, _rounded(box)))
+
+    def _with(self, palette: Palette) -> ClutteredFrame:
+        """With other colours of the same features."""
+        out = replace(self, palette=palette)
+        out.__dict__.update(_bins=self._bins, _edges=self._edges)
+        return out
+
+    def _cut(self, image: Map, origin: tuple[int, int], across: int, beyond: float) -> Map:
+        """(across, across) of an image of the part, ``beyond`` outside of it; ``origin`` in the frame."""
+        return _cut(image, (origin[0] - self.corner[0], origin[1] - self.corner[1]), across, beyond)
 
     def outlook(self, drawing: Drawing, square: Square, side: int) -> Outlook:
         """log c on a patch of at most so many px a side."""
         origin, across, side = _whole(square, side)
-        image = _cut(self._log_ratio, origin, across, _ELSEWHERE)
+        image = self._cut(self._log_ratio, origin, across, _ELSEWHERE)
         corner = float(origin[0]), float(origin[1])
-        slopes = np.stack(
-            [
-                cv2.resize(_cut(one, origin, across, 0.0), (side, side), interpolation=cv2.INTER_AREA)
-                for one in self._edges
-            ]
-        )
+        slopes = np.stack([_smaller(self._cut(one, origin, across, 0.0), side) for one in self._edges])
         mean = max(float(np.sqrt(0.5 * (slopes[0] + slopes[2])).mean()), _LEAST_SLOPE)
         view = View(corner, across / side, side, self.lens)
         return Outlook(drawing, view, _smaller(image, side), slopes / np.float32(mean**2))
@@ -86,7 +98,7 @@ class ClutteredFrame:
     def learnt(self, view: View, inside: Images, kept: float = 0.0) -> ClutteredFrame:
         """The same, body and clutter learnt anew of what is looked at."""
         across = round(view.side * view.binning)
-        origin = round(view.origin[0]), round(view.origin[1])
+        origin = round(view.origin[0]) - self.corner[0], round(view.origin[1]) - self.corner[1]
         share = cv2.resize(inside, (across, across), interpolation=cv2.INTER_LINEAR)
         share = cv2.GaussianBlur(np.clip(share, 0, 1), (0, 0), _RIM_PX)
         height, width = self._bins.shape
@@ -98,16 +110,14 @@ class ClutteredFrame:
         part = np.asarray(share, np.float32)[rows.start - origin[1] :, columns.start - origin[0] :][
             : bins.shape[0], : bins.shape[1]
         ]
-        out = replace(self, palette=self.palette.learnt(bins, part, kept))
-        out.__dict__.update(_bins=self._bins, _edges=self._edges)
-        return out
+        return self._with(self.palette.learnt(bins, part, kept))
 
     def picture(self, square: Square) -> tuple[Picture, Array]:
         """Grey levels of a square of the frame, and its first corner."""
         origin, across, _ = _whole(square, round(square[1]))
         grey = self.image.mean(axis=2) if self.image.ndim == 3 else self.image
         levels = np.clip((np.asarray(grey, np.float32) - self.palette.low) * (255 / self.palette.span), 0, 255)
-        return _cut(levels, origin, across, 0.0).astype(np.uint8), np.array(origin, np.float64)
+        return self._cut(levels, origin, across, 0.0).astype(np.uint8), np.array(origin, np.float64)
 
     def remembered(self, picture: Picture, corner: Array) -> Clutter:
         """What the next frame is told."""

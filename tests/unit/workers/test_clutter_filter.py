@@ -135,6 +135,25 @@ def test_draws_find_the_peak_and_spread_of_a_gaussian(body, seen):
     assert (sigma > 0.5).all() and (sigma < 2).all()
 
 
+def test_a_followed_body_is_looked_at_where_it_is_and_not_in_the_whole_frame(body, seen):
+    large = np.zeros((700, 900, 3), np.uint8)
+    large[300 : 300 + SIZE, 400 : 400 + SIZE] = seen.frames[1]
+    palette = palette_of(seen.frames[0], seen.box)
+    whole = ClutteredFrame(large, palette, None, LENS)
+    square = (496.0, 396.0), 120.0
+    held = whole.remembered(*whole.picture(square))
+    part = ClutteredFrame.of(large, seen.sky.clutter, FilterState(*[None] * 6, clutter=held), LENS)
+    assert part.image.shape[0] < 400 and part.corner == (316, 216)
+    one, other = (frame.outlook(body, square, 96) for frame in (whole, part))
+    assert np.array_equal(one.log_ratio, other.log_ratio) and one.view == other.view
+    assert np.allclose(one.slopes, other.slopes)
+    inside = np.random.default_rng(0).random((96, 96)).astype(np.float32)
+    assert np.array_equal(*(frame.learnt(one.view, inside, 0.5).palette.body for frame in (whole, part)))
+    assert np.array_equal(whole.picture(square)[0], part.picture(square)[0])
+    gone = replace(held, corner=np.array([-500.0, 4000.0]))
+    assert ClutteredFrame.of(large, seen.sky.clutter, FilterState(*[None] * 6, clutter=gone), LENS).image is large
+
+
 def surroundings(seen, body, state, index):
     frame = ClutteredFrame.of(seen.frames[index], seen.sky.clutter, state, LENS)
     config = SessionConfig()
