@@ -25,6 +25,7 @@ from service.inference.params import (
 )
 from service.inference.state import Frame, Measurement
 from service.inference.step import step
+from service.workers.following import stream_of
 from service.workers.resident import ResidentSteps
 from service.workers.scoring import TimedScorer
 
@@ -110,7 +111,7 @@ class SessionStep:
 
     def run(self, frame: int) -> float:
         """See ``StepRunner``."""
-        rng = np.random.Generator(np.random.Philox(key=np.array([self._seed, frame], np.uint64)))
+        rng = stream_of(self._seed, frame)
         seen = Frame(frame, frame * INTERVAL_S, Measurement(self._scene.log_ratio, 0.0))
         timed = TimedScorer(self._scorer, self._scene.articulation, self._scene.log_ratio)
         self._state, _ = step(rng, self._state, seen, timed, self._config, self._scene.domain, bootstrap=self._resident)

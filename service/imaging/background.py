@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.clutter import Clutter, clutter_of
+from service.imaging.clutter import Box, cluttered_box
 from service.imaging.features import FeatureSpec, feature_bins, feature_spec
 from service.imaging.own_sky import filled
 
@@ -109,7 +109,7 @@ class Sky:
     covariance: NDArray[np.float64]  # (C, C) of one pixel's noise, as loud over squares as if it were white
     log_density: NDArray[np.float64]  # (bins,) log p(D|b) of the feature
     spec: FeatureSpec
-    clutter: Clutter | None = None  # of a body that was told to lie in a box, where there is more than sky about it
+    clutter: Box | None = None  # in which the body was told to lie, where there is more than sky about it
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -188,7 +188,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0)),  # below half a count quantisation is the noise
         np.log(density),
         spec,
-        clutter_of(background.frames[-1].squeeze(), known),
+        cluttered_box(background.frames[-1], known),
     )
 
 

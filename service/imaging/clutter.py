@@ -45,12 +45,8 @@ class Palette:
     low: float  # counts that are 0 of 256 levels
     span: float  # counts of all of them
 
-    def log_ratio(self, image: NDArray[np.generic]) -> Map:
-        """(H, W) log c of a frame (H, W) or (H, W, 3)."""
-        return self.log_ratio_of(features(image, self.low, self.span))
-
-    def log_ratio_of(self, bins: Bins) -> Map:
-        """The same of its ``features``."""
+    def log_ratio(self, bins: Bins) -> Map:
+        """(H, W) log c of a frame's ``features``."""
         return np.asarray(np.clip(self.body - self.clutter, -_MOST, _MOST)[bins], np.float32)
 
     def learnt(self, bins: Bins, inside: Map, kept: float) -> Palette:
@@ -66,16 +62,9 @@ class Palette:
         return Palette(body.astype(np.float32), clutter.astype(np.float32), self.low, self.span)
 
 
-@dataclass(frozen=True)
-class Clutter:
-    """What a frame with a body in a box tells of later ones."""
-
-    box: Box
-    palette: Palette
-
-
-def clutter_of(image: NDArray[np.generic], known: Mask) -> Clutter | None:
-    """Of a frame (H, W) or (H, W, 3) that shows something else than the body where it is ``known`` (H, W).
+def cluttered_box(image: NDArray[np.generic], known: Mask) -> Box | None:
+    """The box in which the body lies, of a frame (H, W) or (H, W, C) that shows what else there is where it is
+    ``known`` (H, W).
 
     None where that is not all about a box, or is sky: smooth, but for what is small or faint beside the body.
     """
@@ -84,9 +73,7 @@ def clutter_of(image: NDArray[np.generic], known: Mask) -> Clutter | None:
         return None
     channels = np.moveaxis(np.atleast_3d(np.asarray(image, np.float32)), 2, 0)
     power = sum(cv2.GaussianBlur(one - surface_through(one, known), (0, 0), _LOUD_PX) ** 2 for one in channels)
-    if float(power[known].mean()) < _LOUD * float(power[~known].mean()):
-        return None
-    return Clutter(box, palette_of(image, box))
+    return box if float(power[known].mean()) >= _LOUD * float(power[~known].mean()) else None
 
 
 def told_box(known: Mask) -> Box | None:
@@ -138,14 +125,18 @@ def within(shape: tuple[int, ...], box: Box, about: float = 0.0) -> Mask:
     return mask
 
 
+def levels(image: NDArray[np.generic], low: float, span: float) -> Map:
+    """Of 256, what ``low`` and ``span`` of a palette make of counts of any shape."""
+    return np.asarray(np.clip((image.astype(np.float32) - low) * np.float32(255 / span), 0, 255), np.float32)
+
+
 def features(image: NDArray[np.generic], low: float, span: float) -> Bins:
     """(H, W) which of the feature's values a pixel shows: its colour, or its grey and how rough it is there."""
-    levels = np.clip((image.astype(np.float32) - low) * np.float32(255 / span), 0, 255)
-    smooth = cv2.GaussianBlur(levels, (0, 0), _SMOOTH_PX)
+    smooth = _smooth(image, low, span)
     if image.ndim == 3:
         red, green, blue = np.moveaxis((smooth * (_LEVELS / 256)).astype(np.intp), 2, 0)
         return np.asarray((red * _LEVELS + green) * _LEVELS + blue)
-    across, down = (cv2.Sobel(smooth, cv2.CV_32F, i, 1 - i, scale=0.125) for i in (1, 0))
+    across, down = _slopes(smooth)
     slope = np.sqrt(cv2.GaussianBlur(across**2 + down**2, (0, 0), _SMOOTH_PX))
     rough = np.clip(np.log2(slope / _FINEST_SLOPE + 1), 0, _ROUGH - 1)
     return np.asarray((smooth * (_GREYS / 256)).astype(np.intp) * _ROUGH + rough.astype(np.intp))
@@ -153,10 +144,18 @@ def features(image: NDArray[np.generic], low: float, span: float) -> Bins:
 
 def edges(image: NDArray[np.generic], low: float, span: float) -> NDArray[np.float32]:
     """(3, H, W) squares of slopes xx, xy, yy, levels a pixel, summed over channels."""
-    levels = np.clip((image.astype(np.float32) - low) * np.float32(255 / span), 0, 255)
-    smooth = cv2.GaussianBlur(levels, (0, 0), _SMOOTH_PX)
-    x, y = (cv2.Sobel(smooth, cv2.CV_32F, i, 1 - i, scale=0.125).reshape(*image.shape[:2], -1) for i in (1, 0))
+    x, y = (slope.reshape(*image.shape[:2], -1) for slope in _slopes(_smooth(image, low, span)))
     return np.stack([(x * x).sum(axis=2), (x * y).sum(axis=2), (y * y).sum(axis=2)])
+
+
+def _smooth(image: NDArray[np.generic], low: float, span: float) -> Map:
+    return np.asarray(cv2.GaussianBlur(levels(image, low, span), (0, 0), _SMOOTH_PX), np.float32)
+
+
+def _slopes(smooth: Map) -> tuple[Map, Map]:
+    """Across and down, levels a pixel, of each channel."""
+    across, down = (cv2.Sobel(smooth, cv2.CV_32F, i, 1 - i, scale=0.125) for i in (1, 0))
+    return np.asarray(across, np.float32), np.asarray(down, np.float32)
 
 
 def _size(image: NDArray[np.generic]) -> int:

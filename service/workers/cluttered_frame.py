@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from gpu.lens import NO_LENS, seen_through, where_seen
 from gpu.mesh import Mesh
 from gpu.zbuffer import rasterise
-from service.imaging.clutter import Bins, Map, Palette, edges, features, palette_of
-from service.imaging.clutter import Clutter as WithinBox
+from service.imaging.clutter import SIZES, Bins, Map, Palette, edges, features, levels, palette_of
 from service.inference.articulation import Articulation, part_transforms
 from service.inference.clutter.first import Box, Square
 from service.inference.clutter.flow import OnBody, Picture
@@ -38,12 +37,12 @@ class ClutteredFrame:
 
     @staticmethod
     def of(
-        image: NDArray[np.generic], known: WithinBox, state: FilterState | None, lens: Lens | None
+        image: NDArray[np.generic], box: tuple[int, int, int, int], state: FilterState | None, lens: Lens | None
     ) -> ClutteredFrame:
-        """A frame after a state; in the first one the body lies where it was told to."""
+        """A frame after a state; in the first one the body lies in the box that was told."""
         held = None if state is None else state.clutter
-        if held is None or held.body.shape != known.palette.body.shape:
-            return ClutteredFrame(image, known.palette, known.box, lens)
+        if held is None or held.body.shape != (SIZES[0] if image.ndim == 3 else SIZES[1],):
+            return ClutteredFrame(image, palette_of(image, box), box, lens)
         palette, side = Palette(held.body, held.clutter, held.low, held.span), len(held.picture)
         x, y = (int(value) for value in held.corner)
         left, top = max(x - side, 0), max(y - side, 0)  # it does not move by more than what was looked at
@@ -61,8 +60,13 @@ class ClutteredFrame:
         return edges(self.image, self.palette.low, self.palette.span)
 
     @cached_property
+    def _grey(self) -> Map:
+        grey = self.image.mean(axis=2) if self.image.ndim == 3 else self.image
+        return levels(grey, self.palette.low, self.palette.span)
+
+    @cached_property
     def _log_ratio(self) -> Map:
-        out = self.palette.log_ratio_of(self._bins)
+        out = self.palette.log_ratio(self._bins)
         if self.only is None:
             return out
         x, y, width, height = _rounded(self.only)
@@ -78,7 +82,7 @@ class ClutteredFrame:
     def _with(self, palette: Palette) -> ClutteredFrame:
         """With other colours of the same features."""
         out = replace(self, palette=palette)
-        out.__dict__.update(_bins=self._bins, _edges=self._edges)
+        out.__dict__.update(_bins=self._bins, _edges=self._edges, _grey=self._grey)
         return out
 
     def _cut(self, image: Map, origin: tuple[int, int], across: int, beyond: float) -> Map:
@@ -115,9 +119,7 @@ class ClutteredFrame:
     def picture(self, square: Square) -> tuple[Picture, Array]:
         """Grey levels of a square of the frame, and its first corner."""
         origin, across, _ = _whole(square, round(square[1]))
-        grey = self.image.mean(axis=2) if self.image.ndim == 3 else self.image
-        levels = np.clip((np.asarray(grey, np.float32) - self.palette.low) * (255 / self.palette.span), 0, 255)
-        return self._cut(levels, origin, across, 0.0).astype(np.uint8), np.array(origin, np.float64)
+        return self._cut(self._grey, origin, across, 0.0).astype(np.uint8), np.array(origin, np.float64)
 
     def remembered(self, picture: Picture, corner: Array) -> Clutter:
         """What the next frame is told."""

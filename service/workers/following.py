@@ -68,10 +68,10 @@ class Following:
         domain = Domain(width, height, mesh.radius, articulation, config.prior, within)
         key, body, tracking = self._known(job.model, config, mesh, articulation)
         told = replace(told_of(config, domain, job.light), tracking=tracking)
-        rng = stream_of(config, job.frame_index)
+        rng = stream_of(config.filter.seed, job.frame_index)
         if sky.clutter is not None:
             frame = ClutteredFrame.of(image.image, sky.clutter, job.state, lens)
-            lift, where = Lifting(mesh, articulation, lens), sky.clutter.box
+            lift, where = Lifting(mesh, articulation, lens), sky.clutter
             about = frame, body.middle, where, lift, told, config, domain, twins, lens, n_paint(body)
             told_of_it = step_before_clutter(rng, job.state, Surroundings(*about, job.frame_index, job.time_s))
             return self._told(job, config, domain, *told_of_it)
@@ -125,9 +125,9 @@ class Following:
         return kept.bank
 
 
-def stream_of(config: SessionConfig, index: int) -> np.random.Generator:
+def stream_of(seed: int, index: int) -> np.random.Generator:
     """The random numbers of a frame: of the session's seed and its own index alone."""
-    return np.random.Generator(np.random.Philox(key=np.array([config.filter.seed, index], np.uint64)))
+    return np.random.Generator(np.random.Philox(key=np.array([seed, index], np.uint64)))
 
 
 class _Kept:

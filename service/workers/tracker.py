@@ -11,8 +11,6 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from gpu.errors import DeviceError, DeviceLostError
 from gpu.kernel_cache import KernelCache
 from gpu.mesh import Mesh, MeshError, assemble
@@ -55,7 +53,7 @@ from service.workers.base import (
 )
 from service.workers.cache import Cache
 from service.workers.decoding import Decoder, InPlace
-from service.workers.following import Following
+from service.workers.following import Following, stream_of
 from service.workers.full_frame import camera_window, in_full_frame, lens_of, scale_in_window
 from service.workers.image_checks import require_same, require_sight, require_size
 from service.workers.machine import describe_machine
@@ -161,7 +159,7 @@ class Tracker:
         within = scale_in_window(job.scale_px, job.config.camera)
         frame = Frame(job.frame_index, job.time_s, Measurement(log_ratio, log_constant))
         chosen = job.config.filter
-        rng = np.random.Generator(np.random.Philox(key=np.array([chosen.seed, job.frame_index], np.uint64)))
+        rng = stream_of(chosen.seed, job.frame_index)
         with self._scorers.lend(job.model, chosen.backend, mesh, chosen.particles) as scorer:
             timed = TimedScorer(scorer, articulation, log_ratio)
             shows_half = HalfShown(timed, mesh, (height, width))

@@ -130,7 +130,7 @@ class _Look:
     def climbed(self, found: Settled, frame: F, stage: _Stage) -> tuple[Settled, F]:
         """Poses at their best, best first, and the frame with what they tell of colours."""
         outlook = frame.outlook(self.drawing, self.square, stage.side)
-        spread, size = start(self.drawing, found.poses, stage.spread), _told_size(found.poses, self.told)
+        spread, size = start(self.drawing, found.poses, stage.spread), _told_size(self.drawing, found.poses, self.told)
         climb = {"rounds": stage.rounds, "draws": stage.draws}
         found = settle(self.rng, outlook, found.poses, spread, expected=size, **climb)
         found = found[np.argsort(-found.nats)]
@@ -148,14 +148,15 @@ def start(drawing: Drawing, poses: Poses, spread: tuple[float, float, float, flo
     return np.asarray(sigma[:, :, None] ** 2 * np.eye(sigma.shape[1]))
 
 
-def _told_size(poses: Poses, told: PosePrior) -> Expected | None:
+def _told_size(drawing: Drawing, poses: Poses, told: PosePrior) -> Expected | None:
     """What is known of the scale beside the frame."""
     if told.log_scale is None:
         return None
     d = 6 + poses.joints.shape[1]
     precision = np.zeros((len(poses), d, d))
     precision[:, 5, 5] = told.log_scale_sigma**-2
-    return Expected(replace(poses, log_scale=np.full(len(poses), told.log_scale)), precision)
+    there = replace(poses, log_scale=np.full(len(poses), told.log_scale))
+    return Expected(there, precision, drawing.articulation.wrapping)
 
 
 def _in_box(outlook: Outlook, box: Box, told: PosePrior, lens: Lens | None) -> Poses:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.clutter.outlook import Outlook
+from service.inference.estimate import tangent
 from service.inference.numerics.gauss_newton import within
 from service.inference.numerics.student import root_of
-from service.inference.pose import local, pick, repeat, retract
+from service.inference.pose import pick, repeat, retract
 from service.inference.state import Array, Poses
 
 _EFFECTIVE = 0.2  # numerical: of the draws that share the weight, at the least
@@ -26,10 +27,11 @@ class Expected:
 
     poses: Poses  # (K)
     precision: Array  # (K, d, d)
+    wrapping: NDArray[np.bool_]  # (J,) joints that turn all the way round
 
     def log_prior(self, poses: Poses, count: int) -> Array:
         """(K * count,) of poses that are K in turn, ``count`` of each; not normalised."""
-        off = local(repeat(self.poses, count), poses)
+        off = tangent(repeat(self.poses, count), poses, self.wrapping)
         return np.asarray(-0.5 * np.einsum("ni,nij,nj->n", off, np.repeat(self.precision, count, axis=0), off))
 
 

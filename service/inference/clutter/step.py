@@ -19,16 +19,16 @@ from service.inference.clutter.flow import Lift, Moved, Picture, follow, moved
 from service.inference.clutter.judging import judged, status_of, told
 from service.inference.clutter.settling import Expected, Settled, settle
 from service.inference.domain import Domain
-from service.inference.estimate import short_way
+from service.inference.estimate import short_way, tangent
 from service.inference.filters.answer import drawn, estimate_of
 from service.inference.filters.status import one_answer
 from service.inference.model import existence, prior
 from service.inference.model.drawing import Drawing, Lens
 from service.inference.model.dynamics import corrected, new_born, predicted
-from service.inference.motion import motion_noise
+from service.inference.motion import carry_on, motion_noise
 from service.inference.numerics.priors import PosePrior
 from service.inference.params import SessionConfig
-from service.inference.pose import concatenate, local, retract
+from service.inference.pose import concatenate
 from service.inference.state import Array, Clutter, Estimate, FilterState, Mixture, Poses
 from service.inference.symmetry import Symmetry
 
@@ -71,11 +71,12 @@ class Surroundings:
 def step(rng: np.random.Generator, state: FilterState | None, given: Surroundings) -> tuple[FilterState, Estimate]:
     """The posterior after a frame."""
     before = None if state is None else state.mixture
+    dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     if state is None or before is None or state.clutter is None:
         modes, frame = _born(rng, given)
     else:
-        modes, frame = _followed(rng, state, before, state.clutter, given)
-    return _concluded(rng, modes, frame, before, 0.0 if state is None else given.time_s - state.time_s, given)
+        modes, frame = _followed(rng, before, dt_s, state.clutter, given)
+    return _concluded(rng, modes, frame, before, dt_s, given)
 
 
 @dataclass(frozen=True)
@@ -106,39 +107,35 @@ def _alike(one: Poses, others: Poses, given: Surroundings) -> NDArray[np.bool_]:
 
 
 def _followed(
-    rng: np.random.Generator, state: FilterState, before: Mixture, clutter: Clutter, given: Surroundings
+    rng: np.random.Generator, before: Mixture, dt_s: float, clutter: Clutter, given: Surroundings
 ) -> tuple[_Modes, Cluttered]:
     """Each mode goes where its texture went, then climbs on the outline."""
-    noise, dt_s = motion_noise(given.config.motion, given.domain), max(given.time_s - state.time_s, 0.0)
+    noise, wrapping = motion_noise(given.config.motion, given.domain), given.domain.wrapping
     ahead = np.stack([predicted(one, noise, dt_s) for one in before.covariance])
-    poses, covariance, texture = _by_texture(before, ahead, dt_s, clutter, given)
+    onward = carry_on(before.poses, before.rates, dt_s)
+    poses, covariance, texture = _by_texture(before, onward, ahead, clutter, given)
     lead = int(np.argmax(before.log_weights))
     frame, square = given.frame, _square(given.drawing, poses[lead : lead + 1])
     outlook = frame.outlook(given.drawing, square, _SIDE)
-    expected = Expected(poses, np.asarray(np.linalg.inv(covariance)))
+    expected = Expected(poses, np.asarray(np.linalg.inv(covariance)), wrapping)
     settled = settle(rng, outlook, poses, covariance, rounds=_ROUNDS, draws=_DRAWS, expected=expected)
     narrower = 0.5 * (np.linalg.slogdet(settled.covariance)[1] - np.linalg.slogdet(covariance)[1])
     log_weights = prior.EVIDENCE_KEPT * before.log_weights
     log_weights = log_weights + prior.EVIDENCE_TRUST * (settled.nats + texture + narrower)
-    rates, after = [], []
-    for k in range(len(poses)):
-        onward = retract(before.poses[k : k + 1], before.rates[k : k + 1] * dt_s)
-        shift = local(onward, settled.poses[k : k + 1])[0]
-        rate, both = corrected(before.rates[k], ahead[k], shift, settled.covariance[k])
-        rates.append(rate)
-        after.append(both)
-    return _Modes(settled, np.stack(rates), np.stack(after), log_weights), frame
+    shifts = tangent(onward, settled.poses, wrapping)
+    moving = [corrected(*one) for one in zip(before.rates, ahead, shifts, settled.covariance, strict=True)]
+    rates, after = (np.stack(each) for each in zip(*moving, strict=True))
+    return _Modes(settled, rates, after, log_weights), frame
 
 
 def _by_texture(
-    before: Mixture, ahead: Array, dt_s: float, clutter: Clutter, given: Surroundings
+    before: Mixture, poses: Poses, ahead: Array, clutter: Clutter, given: Surroundings
 ) -> tuple[Poses, Array, Array]:
     """Poses (K), covariance (K, d, d) and log likelihood (K,) of what the texture tells of each mode's movement.
 
-    Where it tells nothing a mode is where its rates have brought it.
+    Where it tells nothing a mode is where its rates have brought it: ``poses``.
     """
     d = before.rates.shape[1]
-    poses = retract(before.poses, before.rates * dt_s)
     loose = start(given.drawing, poses, _LOOSE)
     covariance = ahead[:, :d, :d] + loose
     texture = np.zeros(len(poses))
@@ -165,7 +162,7 @@ def _by_texture(
 
 
 def _inside(given: Surroundings, pose: Poses, square: Square, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(H, W) what of a square of the frame the body covers wholly, its rim left out."""
+    """(H, W) what of a square of the frame the body covers."""
     covered = given.frame.outlook(given.drawing, square, _SIDE).covered(pose)[0]
     return np.asarray(cv2.resize(covered, shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5)
 

@@ -53,6 +53,13 @@ BIRTH = 0.1  # probability that the truth is not among the modes when a search i
 NEWCOMER = 0.01  # probability that a mode was not among those of the frame before: a birth, and one frame in ten
 STAR = 14.0  # nats against a star there: one in 8,000 px; its place told to 0.1 px, its light to a tenth of 3 e-folds
 GAIN_SIGMA = 2.0  # of log gain about what the frame's light suggests: as good as flat
+CLUTTER_ALIKE_PX = 16.0  # frame px over which colours before clutter are alike: so many, squared, count as one
+OUTLINE_FREEDOM = 0.15  # nats that an outline of its own choice pays for each such length of its rim: under right
+# meshes it would gain up to 0.08 (nine sequences), under wrong ones 0.1 to 0.5 (five)
+COLOURS_KEPT = 0.9  # of what is known of a body's and a clutter's colours, from frame to frame
+ANOTHER_OF_ITS_SHAPE = 0.15  # probability that what fits an outline before clutter is another body of this shape
+RIM_UNSEEN = 0.2  # share of a rim before clutter across which brightness does not change
+RIM_ALIKE_PX = 8.0  # frame px along a rim over which the slopes across it are alike
 
 
 @dataclass(frozen=True)
@@ -61,14 +68,3 @@ class LightPrior:
 
     even_mean: float = EVEN_MEAN
     even_sigma: float = EVEN_SIGMA
-
-
-CLUTTER_ALIKE_PX = (
-    16.0  # frame px over which a body's and a clutter's colours are alike: so many, squared, count as one
-)
-OUTLINE_FREEDOM = 0.15  # nats that an outline of its own choice pays for each such length of its rim: under right
-# meshes it would gain up to 0.08 (nine sequences), under wrong ones 0.1 to 0.5 (five)
-COLOURS_KEPT = 0.9  # of what is known of a body's and a clutter's colours, from frame to frame
-ANOTHER_OF_ITS_SHAPE = 0.15  # probability that what fits an outline before clutter is another body of this shape
-RIM_UNSEEN = 0.2  # share of a rim before clutter across which brightness does not change
-RIM_ALIKE_PX = 8.0  # frame px along a rim over which the slopes across it are alike

@@ -128,7 +128,7 @@ def test_draws_find_the_peak_and_spread_of_a_gaussian(body, seen):
     goal = seen.poses[1]
     precision = np.diag(np.array([0.02, 0.03, 0.04, 0.8, 0.6, 0.01]) ** -2.0)[None]
     spread = start(body, seen.poses[0], (0.1, 0.03, 0.04, 0.06))
-    expected = Expected(goal, precision)
+    expected = Expected(goal, precision, FIXED.wrapping)
     found = settle(np.random.default_rng(3), Flat(), seen.poses[0], spread, rounds=12, draws=200, expected=expected)
     assert found.nats[0] > -1
     sigma = np.sqrt(np.diag(found.covariance[0]) * np.diag(precision[0]))
@@ -158,7 +158,7 @@ def surroundings(seen, body, state, index):
     frame = ClutteredFrame.of(seen.frames[index], seen.sky.clutter, state, LENS)
     config = SessionConfig()
     domain = Domain(SIZE, SIZE, MESH.radius, FIXED, config.prior, None)
-    lift, where = Lifting(MESH, FIXED, LENS), seen.sky.clutter.box
+    lift, where = Lifting(MESH, FIXED, LENS), seen.sky.clutter
     return Surroundings(frame, body, where, lift, PosePrior(), config, domain, (), LENS, 5, index, 0.1 * index)
 
 
