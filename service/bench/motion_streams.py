@@ -64,7 +64,8 @@ def seen_stream(rng: np.random.Generator, times: Array, q: Array, sigma_deg: flo
     sigma_deg = drawn_sigma_deg(rng) if sigma_deg is None else sigma_deg
     stays, lasts_s = float(rng.choice(_STAYS)), float(rng.choice(_LASTS_S))
     widths = np.deg2rad(sigma_deg) * np.exp(rng.normal(0.0, 0.4, 3))
-    errors = draw_errors(rng, times, stays, lasts_s) * widths
+    smooth = bool(rng.random() < 0.5)
+    errors = draw_errors(rng, times, stays, lasts_s, smooth=smooth) * widths
     seen = multiply(q, exp_so3(errors))
     missed = rng.random(len(times)) < _MISSED
     seen[missed] = exp_so3(rng.normal(0.0, 2.0, (int(missed.sum()), 3)))
@@ -98,11 +99,10 @@ def nutation_deg(motion: Motions) -> float:
     return float(np.rad2deg(nutation(motion)[0]))
 
 
-def draw_errors(rng: np.random.Generator, times: Array, stays: float, lasts_s: float) -> Array:
-    """(n, 3) whitened errors: a share that stays (Ornstein, Uhlenbeck), the rest each frame's own Student t."""
-    slow = np.empty((len(times), 3))
-    slow[0] = rng.standard_normal(3)
-    for k, kept in enumerate(np.exp(-np.diff(times) / lasts_s), 1):
-        slow[k] = kept * slow[k - 1] + np.sqrt(1 - kept**2) * rng.standard_normal(3)
+def draw_errors(rng: np.random.Generator, times: Array, stays: float, lasts_s: float, *, smooth: bool = False) -> Array:
+    """(n, 3) whitened errors: a share that stays (Matern's of 1/2 or 3/2), the rest each frame's own Student t."""
+    away = np.abs(times[:, None] - times) / lasts_s
+    alike = (1 + np.sqrt(3) * away) * np.exp(-np.sqrt(3) * away) if smooth else np.exp(-away)
+    slow = np.linalg.cholesky(alike + 1e-9 * np.eye(len(times))) @ rng.standard_normal((len(times), 3))
     own = rng.standard_normal((len(times), 3)) / np.sqrt(rng.chisquare(DEGREES, (len(times), 1)) / DEGREES)
     return np.asarray(np.sqrt(stays) * slow + np.sqrt(1 - stays) * own)

@@ -45,7 +45,7 @@ def pose_cards(estimate: Mapping[str, Any]) -> list[tuple[str, str | float | int
     joints = sorted(best["joints"].items())
     return [
         ("POSE_IDX", estimate["index"], "skypose frame number"),
-        ("POSE_STA", estimate["status"], "acquiring, tracking, lost, no_target"),
+        ("POSE_STA", estimate["status"], "status of the answer"),
         *turns,
         ("POSE_X", best["x_px"], "[pix] from the left edge of the image"),
         ("POSE_Y", best["y_px"], "[pix] from the top edge of the image"),

@@ -1,8 +1,11 @@
 """Frames that err alike: errors of a drawn body stay while its aspect does (docs/motion.md).
 
 The whitened errors z of n frames, each of three axes by itself, have the covariance s^2 K,
-K_ij = a exp(-|t_i - t_j| / tau) + (1 - a) [i = j] / u_i: a share a that stays for some tau, the rest each frame's own,
-with the weights u_i of a Student t. The first is Markov, so its precision is tridiagonal and all sums take O(n).
+K_ij = a m(|t_i - t_j| / tau) + (1 - a) [i = j] / u_i: a share a that stays for some tau, the rest each frame's own,
+with the weights u_i of a Student t. What stays is rough, as air is, or smooth, as a body's aspect changes: m is the
+Matern kernel of 1/2 or of 3/2 (Rasmussen, Williams: Gaussian Processes for Machine Learning, section 4.2.1),
+exp(-x) or (1 + r) exp(-r), r = 3^(1/2) x. Both are Markov, the second with its slope, so their precision is banded
+and all sums take O(n).
 Frames of two telescopes see the body from two sides, each through its own air: their errors are independent, and each
 has its own a, tau and s.
 """
@@ -16,6 +19,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.special import gammainc
 
 from service.inference.state import Array
 
@@ -25,8 +29,8 @@ SHARES = (0.1, 0.25, 0.5, 0.8, 0.9, 0.95, 0.98)
 what a frame's stated spread holds and its neighbours do not show is an error that stays."""
 LASTS_S = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # prior: log-uniform from frames' intervals to a pass
 _AROUND = np.linspace(-2.5, 2.5, 7)  # numerical: places of s about its best, in standard deviations of its log
-_SCALE_LOG_SIGMA = 0.5  # prior: stated spreads are right within a factor 1.6
-_LEAST_STEP_S = 1e-4  # numerical: frames of one time
+_SCALE_LOG_SIGMA = 0.35  # prior: stated spreads are right within a factor 1.4, as frames' regions show
+_LEAST_STEP = 3e-4  # numerical: of x or r between frames: the precision grows as its cube
 _TOGETHER = 64  # numerical: laws of all stations together that are looked at
 _AXES = 3  # exact: of a rotation
 
@@ -108,6 +112,7 @@ class _Law:
 
     stays: float  # a
     tau: float
+    smooth: bool
     log_prior: float
     scale: float  # of this station; the one of all together comes on top
     frames: int
@@ -120,16 +125,16 @@ def _laws_of_stations(linear: Linear) -> list[list[_Law]]:
     kept = max(1, int(_TOGETHER ** (1 / len(parts))))
     found = []
     for rows in parts:
-        laws = [(a, tau, log, _sums(linear, rows, a, tau)) for a, tau, log in _grid()]
+        laws = [(a, tau, smooth, log, _sums(linear, rows, a, tau, smooth)) for a, tau, smooth, log in _grid()]
         if len(parts) == 1:
-            found.append([_Law(a, tau, log, 1.0, len(rows), sums) for a, tau, log, sums in laws])
+            found.append([_Law(a, tau, smooth, log, 1.0, len(rows), sums) for a, tau, smooth, log, sums in laws])
             continue
         own, tried = linear.of(rows), []
-        for a, tau, log, sums in laws:
+        for a, tau, smooth, log, sums in laws:
             scale = float(np.median(_scales(own, sums)[0]))
             evidence = log + float(_at_scales(own, sums, np.array([scale]))[2][0])
             wide = -0.5 * (np.log(scale) / _SCALE_LOG_SIGMA) ** 2
-            tried.append((evidence, _Law(a, tau, log + wide, scale, len(rows), sums.scaled(scale, len(rows)))))
+            tried.append((evidence, _Law(a, tau, smooth, log + wide, scale, len(rows), sums.scaled(scale, len(rows)))))
         found.append([law for _, law in sorted(tried, key=lambda one: -one[0])[:kept]])
     return found
 
@@ -146,12 +151,12 @@ def _together(laws: Sequence[_Law]) -> _Sums:
     )
 
 
-def _grid() -> Iterator[tuple[float, float, float]]:
-    """Share, tau, and the log of their prior probability: every share as likely, and every tau."""
+def _grid() -> Iterator[tuple[float, float, bool, float]]:
+    """Share, tau, whether smooth, and the log of their prior probability: every share as likely, tau and smoothness."""
     each = -float(np.log(len(SHARES) + 1))
-    yield 0.0, 1.0, each
-    for a, tau in product(SHARES, LASTS_S):
-        yield a, tau, each - float(np.log(len(LASTS_S)))
+    yield 0.0, 1.0, False, each
+    for a, tau, smooth in product(SHARES, LASTS_S, (False, True)):
+        yield a, tau, smooth, each - float(np.log(2 * len(LASTS_S)))
 
 
 def _scales(linear: Linear, sums: _Sums) -> tuple[Array, float]:
@@ -184,7 +189,7 @@ class _Sums:
         return _Sums(self.squares / squared, self.slope / squared, self.normal / squared, *kept)
 
 
-def _sums(linear: Linear, rows: NDArray[np.intp], a: float, tau: float) -> _Sums:
+def _sums(linear: Linear, rows: NDArray[np.intp], a: float, tau: float, smooth: bool) -> _Sums:
     """Of one station's frames."""
     n, axes, p = len(rows), *linear.jacobian.shape[1:]
     columns = np.concatenate([linear.residual[rows, :, None], linear.jacobian[rows]], axis=2).reshape(n, -1)
@@ -193,12 +198,9 @@ def _sums(linear: Linear, rows: NDArray[np.intp], a: float, tau: float) -> _Sums
     whitened = columns * inverse[:, None]
     log_determinant = -float(np.sum(np.log(inverse)))
     if a > 0.0:
-        banded, log_markov = _markov_precision(linear.time_s[rows], tau)
-        banded = banded / a
-        banded[1] += inverse
-        root = cholesky_banded(banded)
-        log_determinant += 2 * float(np.sum(np.log(root[1]))) - (log_markov - n * np.log(a))
-        whitened = whitened - inverse[:, None] * cho_solve_banded((root, False), whitened)
+        root, log_markov = _staying(linear.time_s[rows], a, tau, smooth, inverse)
+        log_determinant += 2 * float(np.sum(np.log(root[-1]))) - log_markov
+        whitened = whitened - inverse[:, None] * _values(root, whitened)
     gram = columns.T @ whitened
     independent = float(gram[-1, -1]) / float(np.sum(inverse) * (1 - a)) * n
     gram = gram[:-1, :-1].reshape(axes, p + 1, axes, p + 1)
@@ -216,17 +218,33 @@ def _own_squares(linear: Linear, laws: Sequence[_Law], scale: float, step: Array
             squares[rows] = np.sum(z[rows] ** 2, axis=1) / s**2
             continue
         inverse = linear.weight[rows] / (1 - a)
-        banded = _markov_precision(linear.time_s[rows], law.tau)[0] / a
-        banded[1] += inverse
-        spread = cho_solve_banded((cholesky_banded(banded), False), np.eye(len(rows)))
+        spread = _values(_staying(linear.time_s[rows], a, law.tau, law.smooth, inverse)[0], np.eye(len(rows)))
         own = z[rows] - spread @ (inverse[:, None] * z[rows])
         squares[rows] = (np.sum(own**2, axis=1) / s**2 + 3 * np.diag(spread)) / (1 - a)
     return squares
 
 
-def _markov_precision(time_s: Array, tau: float) -> tuple[Array, float]:
+def _staying(time_s: Array, a: float, tau: float, smooth: bool, inverse: Array) -> tuple[Array, float]:
+    """Of what stays, given frames of own variances 1 / inverse (n,): the upper root of its banded precision, and the
+    log determinant of its precision before."""
+    banded, log_markov = (_smooth_precision if smooth else _rough_precision)(time_s, tau)
+    banded /= a
+    states = banded.shape[1] // len(time_s)
+    banded[-1, ::states] += inverse
+    return cholesky_banded(banded), log_markov - banded.shape[1] * float(np.log(a))
+
+
+def _values(root: Array, columns: Array) -> Array:
+    """(n, c) what stays, of the solution for columns (n, c) that act on it and not on its slope."""
+    states = root.shape[1] // len(columns)
+    both = np.zeros((root.shape[1], columns.shape[1]))
+    both[::states] = columns
+    return np.asarray(cho_solve_banded((root, False), both)[::states])
+
+
+def _rough_precision(time_s: Array, tau: float) -> tuple[Array, float]:
     """Upper banded (2, n) precision of exp(-|t_i - t_j| / tau), and the log of its determinant."""
-    kept = np.exp(-np.maximum(np.diff(time_s), _LEAST_STEP_S) / tau)
+    kept = np.exp(-np.maximum(np.diff(time_s) / tau, _LEAST_STEP))
     new = 1 - kept**2
     diagonal = np.ones(len(time_s))
     diagonal[1:] = 1 / new
@@ -235,6 +253,28 @@ def _markov_precision(time_s: Array, tau: float) -> tuple[Array, float]:
     banded[1] = diagonal
     banded[0, 1:] = -kept / new
     return banded, -float(np.sum(np.log(new)))
+
+
+def _smooth_precision(time_s: Array, tau: float) -> tuple[Array, float]:
+    """Upper banded (4, 2n) precision of the value and the slope of Matern's 3/2, both of variance 1.
+
+    Over d = 3^(1/2) dt / tau the two go on by F = exp(-d) [[1 + d, d], [-d, 1 - d]] and gain I - F F'.
+    """
+    d = np.maximum(np.sqrt(3) * np.diff(time_s) / tau, _LEAST_STEP)
+    kept = np.exp(-d)[:, None, None] * np.stack([1 + d, d, -d, 1 - d], axis=1).reshape(-1, 2, 2)
+    value, across = gammainc(3, 2 * d), 2 * d**2 * np.exp(-2 * d)  # of I - F F', without cancellation
+    slope = value + 4 * d * np.exp(-2 * d)
+    determinant = value * slope - across**2
+    new = np.stack([slope, -across, -across, value], axis=1).reshape(-1, 2, 2) / determinant[:, None, None]
+    carried = new @ kept
+    diagonal = np.repeat(np.eye(2)[None], len(time_s), axis=0)
+    diagonal[1:] = new
+    diagonal[:-1] += np.swapaxes(kept, 1, 2) @ carried
+    banded = np.zeros((4, 2 * len(time_s)))
+    banded[3, ::2], banded[3, 1::2], banded[2, 1::2] = diagonal[:, 0, 0], diagonal[:, 1, 1], diagonal[:, 0, 1]
+    banded[1, 2::2], banded[0, 3::2] = -carried[:, 0, 0], -carried[:, 1, 0]  # of a frame's value with the next frame
+    banded[2, 2::2], banded[1, 3::2] = -carried[:, 0, 1], -carried[:, 1, 1]  # of its slope
+    return banded, -float(np.sum(np.log(determinant)))
 
 
 def _at_scales(linear: Linear, sums: _Sums, scales: Array) -> tuple[Array, Array, Array]:
