@@ -121,8 +121,9 @@ class Estimate(Wire):
     log_evidence: float
     timing_ms: dict[str, float]
     scorer: str
-    assumed: list[Literal["background", "time"]] = Field(default_factory=list)
-    """What nobody told: `background`, the sky was learned from around the object; `time`, the frame brought none."""
+    assumed: list[Literal["background", "time", "attitude_mode"]] = Field(default_factory=list)
+    """What nobody told: `background`, the sky was learned from around the object; `time`, the frame brought none. And
+    what the session told: `attitude_mode`, by `prior.attitude_mode` poses that are aligned go before others."""
     warnings: list[str] = Field(default_factory=list)
     """What does not agree: site, time, orbit, pointing and the scale that is seen."""
 

@@ -14,8 +14,8 @@ from rich.table import Table
 from service.bench.motion_bench import RATE_SIGMA
 from service.bench.motion_streams import StreamPlan, draw_motion, seen_stream
 from service.inference.pose import exp_so3, from_matrices, multiply
-from service.inference.spin.alignment import ALIGNMENTS
-from service.inference.spin.attitude_modes import OFFSET_SIGMA, attitude_modes
+from service.inference.spin.alignment import ALIGNMENTS, OFFSET_SIGMA
+from service.inference.spin.attitude_modes import attitude_modes
 from service.inference.spin.basins import MODES
 from service.inference.spin.fit import fit_pass
 from service.inference.spin.held_frames import nadir_frames, sun_frames, yaw_steering_frames

@@ -143,6 +143,8 @@ class SessionConfig:
         require(not affine or self.camera.perspective is None, "camera.perspective is not for bootstrap: it is affine")
         if self.prior.orbit is not None and site is None:
             raise FieldError("prior.orbit", "needs the site: camera.site_latitude_deg and camera.site_longitude_deg")
+        if self.prior.attitude_mode is not None and self.prior.orbit is None:
+            raise FieldError("prior.attitude_mode", "needs prior.orbit: the frame that holds the body moves along it")
 
 
 # contract: the settings of the paper

@@ -31,6 +31,10 @@ class PriorParams:
     """The scale where it is known otherwise, pixels of the whole frame per model unit. It goes before a range's."""
     scale_sigma: float = 0.03
     """Standard deviation of `scale_px`, as a share of it. No scale farther than three of them is looked at."""
+    attitude_mode: Literal["nadir_pointing", "yaw_steering", "sun_pointing"] | None = None
+    """The body is believed to be held so: among poses that a frame cannot tell apart, those that are aligned go before.
+    It needs `orbit`, and in each frame the camera's orientation; estimates whose modes it weighed have `attitude_mode`
+    in `assumed`. The motion of the pass is told without it."""
 
     def __post_init__(self) -> None:
         require(0 < self.min_extent < self.max_extent <= 10, "0 < min_extent < max_extent <= 10 is required")

@@ -77,7 +77,11 @@ def _said(facts: Facts) -> list[str]:
     out = [*facts.session["warnings"], *(facts.motion["warnings"] if facts.motion else ())]
     out += counted(text for estimate in facts.estimates for text in estimate["warnings"])
     assumed = Counter(text for estimate in facts.estimates for text in estimate["assumed"])
-    names = {"background": "the sky was learnt from around the object", "time": "frames brought no time of their own"}
+    names = {
+        "background": "the sky was learnt from around the object",
+        "time": "frames brought no time of their own",
+        "attitude_mode": "the body is held as the session was told",
+    }
     out += [f"assumed: {names.get(name, name)} ({count} frames)" for name, count in assumed.items()]
     return list(dict.fromkeys(out))
 

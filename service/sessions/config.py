@@ -78,8 +78,11 @@ def without_retired(sections: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[
 def unused(sections: Mapping[str, Any], config: SessionConfig) -> tuple[str, ...]:
     """A sentence on each thing that was chosen for the other method."""
     if config.filter.method == "bootstrap":
-        tracking = bool(config.joints.sun_tracking)
-        return ("joints.sun_tracking is not for bootstrap, and is not used",) if tracking else ()
+        told = {
+            "joints.sun_tracking": bool(config.joints.sun_tracking),
+            "prior.attitude_mode": config.prior.attitude_mode is not None,
+        }
+        return tuple(f"{name} is not for bootstrap, and is not used" for name, given in told.items() if given)
     chosen = [name for name in ("backend", "resampler", "step") if name in sections.get("filter", {})]
     return tuple(f"filter.{name} is for bootstrap, and is not used" for name in chosen)
 

@@ -172,11 +172,12 @@ def is_own_sky(record: SessionRecord) -> bool:
     return (record.background_info or {}).get("source") == "auto"
 
 
-def assumed_of(record: SessionRecord, frame: FrameIn) -> list[str]:
-    """What nobody told and was taken for granted: see ``schemas.Estimate.assumed``."""
+def assumed_of(record: SessionRecord, frame: FrameIn, *, held: bool) -> list[str]:
+    """What the images do not show and was taken for granted: see ``schemas.Estimate.assumed``."""
     return [
         *(["background"] if is_own_sky(record) else []),
         *(["time"] if frame.time is None else []),
+        *(["attitude_mode"] if held else []),
     ]
 
 

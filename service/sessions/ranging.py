@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from service.attitude.held import held_frames
 from service.attitude.orbit import Orbit, Sighting, check_sums
 from service.errors import InputError
 from service.imaging.facts import FrameFacts
+from service.inference.held import Held
 from service.inference.params import PriorParams, SessionConfig
-from service.sessions.absolute import mount_of
+from service.inference.pose import conjugate, from_matrices, multiply
+from service.sessions.absolute import View, mount_of
 from service.sessions.frame import FrameTime
 
 _ARCSECOND = np.pi / 648_000
@@ -77,6 +80,15 @@ class Ranging:
         scale = unit_m / (sighting.range_km * _KM * arcsec * _ARCSECOND)
         share = self._config.prior.scale_tolerance
         return Ranged(sighting, scale, (scale * (1 - share), scale * (1 + share)))
+
+    def held(self, moment: FrameTime, view: View | None) -> Held | None:
+        """The attitude mode that was told, at a frame; None: none, or the camera's orientation is not known."""
+        mode, uses = self._config.prior.attitude_mode, self._config.filter.method != "bootstrap"
+        if mode is None or view is None or self._orbit is None or self.site is None or not uses:
+            return None
+        to_gcrf = held_frames(self._orbit, self.site, [moment.utc])[mode][0]
+        w, x, y, z = multiply(conjugate(view.quaternion), from_matrices(to_gcrf)).tolist()
+        return Held(mode, (w, x, y, z))
 
 
 def scale_bounds(prior: PriorParams, ranged: Ranged | None) -> tuple[float, float] | None:

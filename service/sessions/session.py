@@ -17,7 +17,6 @@ from service.errors import NoBackgroundError, SkyposeError, StaleOwnerError
 from service.imaging.facts import NOTHING, FrameFacts
 from service.inference.params import SessionConfig
 from service.metrics import Metrics
-from service.sessions.absolute import Aim, View
 from service.sessions.ahead import prepare
 from service.sessions.consistency import warnings_of
 from service.sessions.contenders import Contender, leader, ranking, stored
@@ -39,10 +38,11 @@ from service.sessions.frame import (
 )
 from service.sessions.hub import Hub
 from service.sessions.inbox import Inbox
-from service.sessions.lighting import Lit, light_at
+from service.sessions.known import Known
+from service.sessions.lighting import light_at
 from service.sessions.line import Line
 from service.sessions.pointings import Pointings
-from service.sessions.ranging import Ranged, Ranging, scale_bounds
+from service.sessions.ranging import Ranging, scale_bounds
 from service.store import frames, models, sessions
 from service.store.base import BackgroundRecord, FrameRecord, Retention, SessionRecord
 from service.store.database import Database
@@ -66,17 +66,6 @@ class Rooms:
     metrics: Metrics
     retention: Retention
     line: Line
-
-
-@dataclass(frozen=True)
-class Known:
-    """What is known of a frame before it is looked at."""
-
-    moment: FrameTime
-    view: View | None
-    aim: Aim | None
-    ranged: Ranged | None
-    lit: Lit
 
 
 class Session:
@@ -161,7 +150,8 @@ class Session:
         view = self._pointings.view(self.record, frame, facts, moment)
         aim = self._pointings.aim(self.record, frame, facts, moment)
         ranged = self._ranging.at(moment, facts)
-        return Known(moment, view, aim, ranged, light_at(self._config, frame.query, moment, view, ranged))
+        lit = light_at(self._config, frame.query, moment, view, ranged)
+        return Known(moment, view, aim, ranged, lit, self._ranging.held(moment, view))
 
     async def _track(self, frame: FrameIn, background: str, known: Known) -> tuple[Contenders, PackedFrameReport]:
         """The frame under every model, one job after the other; the report of the most probable."""
@@ -190,6 +180,7 @@ class Session:
             size=self._frame_size,
             scale_px=scale_bounds(self._config.prior, known.ranged),
             light=known.lit.light,
+            held=known.held,
         )
         return await self._rooms.engine.track(self.record.id, job, contender.state, self._blob)
 
@@ -244,7 +235,7 @@ class Session:
         orbit = None if ranged is None else ranged.document()
         session_id, index, text = public_id(self.record.id), self.record.next_index, format_time(utc)
         odd = warnings_of(report.estimate, utc, self._ranging.site, known.aim, ranged)
-        assumed = assumed_of(self.record, frame)
+        assumed = assumed_of(self.record, frame, held=known.held is not None)
         return estimate_document(session_id, index, text, names, report, view, models, orbit, known.lit, assumed, odd)
 
     async def _store(self, record: FrameRecord) -> int:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
 from service.inference.belief import Belief
+from service.inference.held import Held
 from service.inference.light import Light
 from service.inference.params import SessionConfig
 from service.inference.smoothed import SmoothedEstimate
@@ -105,6 +106,7 @@ class FrameJob:
     size: tuple[int, int] | None = None  # width and height that the frame must have; None: what fits the background
     scale_px: tuple[float, float] | None = None  # bounds known for this frame, px of the whole frame per model unit
     light: Light | None = None  # what is known of it before the frame is looked at
+    held: Held | None = None  # the attitude mode that was told
 
 
 @dataclass(frozen=True)

@@ -73,12 +73,13 @@ class Following:
             frame = ClutteredFrame.of(image.image, sky.clutter, job.state, lens)
             lift, where = Lifting(mesh, articulation, lens), sky.clutter
             about = frame, body.middle, where, lift, told, config, domain, twins, lens, n_paint(body)
-            told_of_it = step_before_clutter(rng, job.state, Surroundings(*about, job.frame_index, job.time_s))
+            given_here = Surroundings(*about, job.frame_index, job.time_s, job.held)
+            told_of_it = step_before_clutter(rng, job.state, given_here)
             return self._told(job, config, domain, *told_of_it)
         region = region_of(job.state, job.time_s, mesh.radius, (height, width))
         light = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region, lens)
         bank = partial(self._bank, key, body, told)
-        given = Given(light, body, bank, told, config, domain, twins, job.frame_index, job.time_s)
+        given = Given(light, body, bank, told, config, domain, twins, job.frame_index, job.time_s, job.held)
         state, estimate = step(rng, of_body(job.state, body), given)
         span = light.span_px
         estimate = replace(estimate, light_scale=None if span is None else span / (2 * mesh.radius))

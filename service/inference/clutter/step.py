@@ -22,6 +22,7 @@ from service.inference.domain import Domain
 from service.inference.estimate import short_way, tangent
 from service.inference.filters.answer import drawn, estimate_of
 from service.inference.filters.status import one_answer
+from service.inference.held import Held, believed
 from service.inference.model import existence, prior
 from service.inference.model.drawing import Drawing, Lens
 from service.inference.model.dynamics import corrected, new_born, predicted
@@ -66,6 +67,7 @@ class Surroundings:
     n_paint: int  # planes of the light's filter, whose record of paint is kept empty
     index: int
     time_s: float
+    held: Held | None = None  # the attitude mode that was told
 
 
 def step(rng: np.random.Generator, state: FilterState | None, given: Surroundings) -> tuple[FilterState, Estimate]:
@@ -207,9 +209,10 @@ def _concluded(
     )
     probabilities = told(here)
     status = status_of(probabilities)
-    particles, rates = drawn(rng, mixture, given.config.filter.particles, given.domain)
+    weighed = believed(mixture, given.held)
+    particles, rates = drawn(rng, weighed, given.config.filter.particles, given.domain)
     nats = float(modes.settled.nats[kept[0]])
-    estimate = estimate_of(mixture, particles, status, given.domain, probabilities, (nats, nats), fit)
+    estimate = estimate_of(weighed, particles, status, given.domain, probabilities, (nats, nats), fit)
     even = np.full(len(particles), -np.log(len(particles)))
     remembered = frame.remembered(*frame.picture(square))
     state = FilterState(particles, even, rates, given.index, given.time_s, status, {}, mixture, remembered)

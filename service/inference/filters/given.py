@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from service.inference.domain import Domain
+from service.inference.held import Held
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.stages import Body, Sight
 from service.inference.model.templates import Bank
@@ -48,6 +49,7 @@ class Given:
     twins: Sequence[Symmetry]
     index: int
     time_s: float
+    held: Held | None = None  # the attitude mode that was told
 
 
 @dataclass(frozen=True)

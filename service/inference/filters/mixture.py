@@ -14,6 +14,7 @@ from service.inference.filters.answer import drawn, estimate_of, unseen
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.status import one_answer, status_of, told_existence, widths_across
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
+from service.inference.held import believed
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import Quality
@@ -270,12 +271,17 @@ def concluded(
     rng: np.random.Generator, after: Mixture, updated: Updated, hill: Hill, given: Given
 ) -> tuple[FilterState, Estimate]:
     """The state and the answer."""
-    poses, rates = drawn(rng, after, given.config.filter.particles, given.domain)
-    status = status_of(after, given.twins, given.domain)
-    best = updated.refined[int(np.argmax(updated.log_weights))]
+    told = believed(after, given.held)
+    poses, rates = drawn(rng, told, given.config.filter.particles, given.domain)
+    status = status_of(told, given.twins, given.domain)
+    log_weights = updated.log_weights
+    if given.held is not None:
+        every = np.concatenate([one.pose.quaternion for one in updated.refined])
+        log_weights = log_weights + given.held.log_ratio(every)
+    best = updated.refined[int(np.argmax(log_weights))]
     fit = existence.goodness(hill, best.fit)
     evidence = best.fit.log_evidence, updated.log_evidence
-    estimate = estimate_of(after, poses, status, given.domain, told_existence(after), evidence, fit)
+    estimate = estimate_of(told, poses, status, given.domain, told_existence(after), evidence, fit)
     count = len(poses)
     even = np.full(count, -np.log(count))
     return FilterState(poses, even, rates, given.index, given.time_s, status, {}, after), estimate

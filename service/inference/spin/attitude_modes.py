@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.inference.pose import conjugate, log_so3, multiply, rotation_matrices
-from service.inference.spin.alignment import ALIGNMENTS
+from service.inference.pose import conjugate
+from service.inference.spin.alignment import log_aligned_or_any, log_axis_along_z
 from service.inference.spin.basins import MODES, AttitudeModes, Basin, PassMotion
 from service.inference.spin.climb import MotionPrior, climb
 from service.inference.spin.fit import TUMBLING, once, weighed
@@ -17,8 +17,6 @@ from service.inference.spin.rigid_body import Motions
 from service.inference.spin.starts import anchors, distinct
 from service.inference.state import Array
 
-OFFSET_SIGMA = float(np.deg2rad(5.0))  # prior: rad, each axis: of a body axis that is held, about where it should be
-ALIGNED = 0.5  # prior: that a body which is held in a moving frame has its mesh's axes along that frame's
 _HELD_RATE = 1e-7  # numerical: rad/s, as good as none
 _ROUNDS, _TOPS = 20, 3  # numerical: steps of a climb, tops that are climbed
 
@@ -45,9 +43,9 @@ def attitude_modes(frames: PassFrames, references: Mapping[str, Array], found: P
     """
     laws = {
         "inertially_fixed": (None, _any),
-        "nadir_pointing": (references["nadir_pointing"], _aligned_or_any),
-        "yaw_steering": (references["yaw_steering"], _aligned_or_any),
-        "sun_pointing": (references["sun_pointing"], _axis_along_z),
+        "nadir_pointing": (references["nadir_pointing"], log_aligned_or_any),
+        "yaw_steering": (references["yaw_steering"], log_aligned_or_any),
+        "sun_pointing": (references["sun_pointing"], log_axis_along_z),
     }
     tops = {name: _tops(frames, reference, law, found) for name, (reference, law) in laws.items()}
     lead = max((one for basins in tops.values() for one in basins), key=lambda one: one.log_evidence, default=None)
@@ -80,22 +78,6 @@ def _tops(frames: PassFrames, reference: Array | None, law: Callable[[Array], Ar
 
 def _any(quaternion: Array) -> Array:
     return np.full(len(quaternion), LOG_UNIFORM)
-
-
-def _aligned_or_any(quaternion: Array) -> Array:
-    """A normal law about each alignment, or any."""
-    turns = log_so3(multiply(quaternion[:, None], conjugate(ALIGNMENTS)))
-    squares = np.sum(turns**2, axis=2) / OFFSET_SIGMA**2
-    near = np.logaddexp.reduce(-0.5 * squares, axis=1) - np.log(24) - 1.5 * np.log(2 * np.pi * OFFSET_SIGMA**2)
-    return np.asarray(np.logaddexp(np.log(ALIGNED) + near, np.log(1 - ALIGNED) + LOG_UNIFORM))
-
-
-def _axis_along_z(quaternion: Array) -> Array:
-    """A normal law of the angle between the reference's z and one of six body axes; the turn about it is any."""
-    cosine = rotation_matrices(quaternion)[:, 2]
-    angles = np.arccos(np.clip(np.concatenate([cosine, -cosine], axis=1), -1.0, 1.0))
-    near = np.logaddexp.reduce(-0.5 * (angles / OFFSET_SIGMA) ** 2, axis=1)
-    return np.asarray(near - np.log(6) - np.log(2 * np.pi * OFFSET_SIGMA**2) - np.log(2 * np.pi))
 
 
 def _total(logs: list[float]) -> float:

@@ -6,8 +6,8 @@ import pytest
 from service.bench.mode_streams import draw_orientations, draw_references
 from service.bench.motion_streams import seen_stream
 from service.inference.pose import exp_so3, multiply, rotation_matrices
-from service.inference.spin.alignment import ALIGNMENTS, offset, tilt
-from service.inference.spin.attitude_modes import _aligned_or_any, _axis_along_z, attitude_modes
+from service.inference.spin.alignment import ALIGNMENTS, log_aligned_or_any, log_axis_along_z, offset, tilt
+from service.inference.spin.attitude_modes import attitude_modes
 from service.inference.spin.fit import fit_pass
 from service.inference.spin.held_frames import nadir_frames, sun_frames, yaw_steering_frames
 
@@ -41,7 +41,7 @@ def test_offsets_are_told_from_the_nearest_alignment():
     assert (angle, axis) == (pytest.approx(0.1), 4)  # -y of the body lies 0.1 from z of the reference
 
 
-@pytest.mark.parametrize("law", [_aligned_or_any, _axis_along_z])
+@pytest.mark.parametrize("law", [log_aligned_or_any, log_axis_along_z])
 def test_priors_of_orientation_have_the_mass_one(law):
     q = np.random.default_rng(1).standard_normal((60_000, 4))
     density = np.exp(law(q / np.linalg.norm(q, axis=1, keepdims=True)))

@@ -19,6 +19,7 @@ from service.inference.filters.given import Given
 from service.inference.filters.mixture import is_another, step
 from service.inference.filters.status import SURE, status_of, told_existence
 from service.inference.filters.weighing import born
+from service.inference.held import Held
 from service.inference.model import prior
 from service.inference.model import search as searching
 from service.inference.model.drawing import Lens, View
@@ -138,6 +139,15 @@ def test_an_empty_frame_shows_no_target_and_the_body_is_found_again():
         assert told[k][1].status == "tracking" and error_deg(told[k][1], k) < 3.0
     wide = [estimate.spread.orientation_deg for _, estimate in told]
     assert wide[5] > wide[3] > wide[2]
+
+
+def test_a_told_attitude_mode_weighs_the_answer_and_nothing_that_is_carried_on():
+    state, plain = passed()[1][0], passed()[2]
+    told = Held("nadir_pointing", tuple(truth(2).quaternion[0].tolist()))
+    after, estimate = step(np.random.default_rng([7, 2]), state, replace(given(frame(2), 2), held=told))
+    for name in ("log_weights", "covariance", "existence", "paint"):
+        assert np.array_equal(getattr(after.mixture, name), getattr(plain[0].mixture, name))
+    assert estimate.status == "tracking" and error_deg(estimate, 2) < 3.0
 
 
 def test_a_state_that_was_stored_goes_on_as_if_it_had_not_been():
