@@ -95,6 +95,28 @@ class AttitudeMode(Wire):
     """Of the mesh, that points to nadir, or to the Sun."""
 
 
+class JointLawProbabilities(Wire):
+    """All as likely before; they sum to 1."""
+
+    still: float
+    sun_tracking: float
+    neither: float
+
+
+class JointMotion(Wire):
+    """Whether a hinge stood still over the pass, or kept its panel towards the Sun."""
+
+    name: str
+    law: Literal["still", "sun_tracking", "neither"]
+    """The most probable."""
+    probabilities: JointLawProbabilities
+    value_deg: float | None
+    """Of `still`: where it stood."""
+    offset_deg: float | None
+    """Of `sun_tracking`: by how much the joint is ahead of facing the Sun, as far as its range lets it."""
+    sigma_deg: float | None
+
+
 class MotionErrors(Wire):
     """How the frames err."""
 
@@ -141,6 +163,8 @@ class PassMotion(Wire):
     """All courses with a probability of 0.001 or more, most probable first: this one among them."""
     attitude_mode: AttitudeMode | None
     """Null where the camera's orientation or the object's orbit is not known."""
+    joints: list[JointMotion] = Field(default_factory=list)
+    """Hinges that are estimated, where the attitude mode is known; none that the session was told to follow the Sun."""
     inertia: Inertia | None
     """Of `tumbling` only."""
     errors: MotionErrors

@@ -9,7 +9,7 @@ import typer
 from service.cli.remote_options import DEFAULT_URL, Key, Url, connected
 
 if TYPE_CHECKING:
-    from service.api.motion import AttitudeMode, PassMotion, Vector
+    from service.api.motion import AttitudeMode, JointMotion, PassMotion, Vector
 
 
 def motion(
@@ -50,6 +50,7 @@ def lines(found: PassMotion) -> list[str]:
         out.append(f"axis GCRF  {_vector(found.axis_gcrf)} ± {found.axis_gcrf_sigma_deg:.2f}°")
     if found.attitude_mode is not None:
         out.append(f"mode       {mode_line(found.attitude_mode)}")
+    out += [f"joint      {joint_line(joint)}" for joint in found.joints]
     if found.inertia is not None:
         ratios = " ".join(
             f"{value:.3f} ± {sigma:.3f}"
@@ -68,6 +69,15 @@ def mode_line(mode: AttitudeMode) -> str:
     if mode.offset_deg is None:
         return line
     return f"{line}, {mode.body_axis}, {mode.offset_deg:.2f} ± {mode.sigma_deg:.2f}° off"
+
+
+def joint_line(joint: JointMotion) -> str:
+    """What a hinge does, how surely, and where."""
+    line = f"{joint.name}: {joint.law.replace('_', ' ')} (p {getattr(joint.probabilities, joint.law):.3f})"
+    if joint.sigma_deg is None:
+        return line
+    value = joint.value_deg if joint.law == "still" else joint.offset_deg
+    return f"{line}, {value:.2f} ± {joint.sigma_deg:.2f}°{'' if joint.law == 'still' else ' from the Sun'}"
 
 
 def _vector(vector: Vector) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from service.inference.spin import basins
 from service.inference.spin.alignment import offset, tilt
-from service.inference.spin.basins import AttitudeModes, Basin, PassMotion, Told, told
+from service.inference.spin.basins import AttitudeModes, Basin, JointLaw, PassMotion, Told, told
 from service.inference.spin.rigid_body import inertia
 from service.inference.state import Array
 from service.sessions.absolute import named
@@ -49,6 +49,7 @@ def motion_document(
             if p >= _LEAST_TOLD
         ],
         "attitude_mode": None if found.attitude is None else _attitude_mode(found.attitude),
+        "joints": [_joint(one) for one in found.joints],
         "inertia": _inertia(lead) if found.model == "tumbling" else None,
         "errors": {"scale": lead.scale, "independent_frames": lead.independent},
         "warnings": _warnings(found, lead, courses, absolute, among),
@@ -139,6 +140,19 @@ def _attitude_mode(found: AttitudeModes) -> dict[str, Any]:
         "offset_axes_deg": dict(zip(names, np.rad2deg(turn).tolist(), strict=True)),
         "sigma_axes_deg": dict(zip(names, spread.tolist(), strict=True)),
         "body_axis": _AXES[tilt(aligned)[1]],
+    }
+
+
+def _joint(found: JointLaw) -> dict[str, Any]:
+    """The most probable law of a joint, and its constant."""
+    value, sigma = found.constants.get(found.best, (None, None))
+    return {
+        "name": found.name,
+        "law": found.best,
+        "probabilities": dict(found.probabilities),
+        "value_deg": value if found.best == "still" else None,
+        "offset_deg": value if found.best == "sun_tracking" else None,
+        "sigma_deg": sigma,
     }
 
 

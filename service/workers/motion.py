@@ -24,6 +24,7 @@ from service.models.symmetry_group import held_symmetries
 from service.workers.base import MotionJob
 from service.workers.codec import decode
 from service.workers.full_frame import camera_window
+from service.workers.joint_laws import Jointed, laws_of_joints, suns_in_camera
 
 _ANY_RADIUS = 1.0  # the body's size shifts the bounds of the scale, which nothing here asks for
 
@@ -53,7 +54,9 @@ def motion_of(job: MotionJob, mesh: Mesh | None) -> PassMotion:
         )
         for name in references[0]
     }
-    return replace(found, attitude=attitude_modes(frames, {name: q[order] for name, q in held.items()}, found))
+    attitude = attitude_modes(frames, {name: q[order] for name, q in held.items()}, found)
+    joints = () if mesh is None else laws_of_joints([one.jointed() for one in seen], mesh, found)
+    return replace(found, attitude=attitude, joints=joints)
 
 
 class _Station:
@@ -61,7 +64,7 @@ class _Station:
 
     def __init__(self, job: MotionJob) -> None:
         self.job = job
-        articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
+        articulation = self._articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
         size = camera_window(job.config.camera, job.width, job.height).size
         domain = Domain(*size, _ANY_RADIUS, articulation, job.config.prior)
         noise = motion_noise(job.config.motion, domain)
@@ -77,6 +80,7 @@ class _Station:
         told = [told[k] for k in evenly(len(told), 1 + len(job.others))] if told else []
         self.time_s, self.numbers = [time_s for time_s, _, _ in told], [k for _, k, _ in told]
         self._own = [one for _, _, one in told]
+        self._beliefs = [belief for k in self.numbers if (belief := beliefs[k]) is not None]
         self.rate_sigma = job.config.motion.rate_spread * float(np.sqrt(noise.jitter[0]))
         symmetries = held_symmetries(job.twins, job.articulation, articulation)
         # What lights the surfaces tells mirror twins apart; outlines do not.
@@ -90,6 +94,13 @@ class _Station:
         if self.job.cameras is None:
             return frames
         return seen_from(frames, np.array([self.job.cameras[k] for k in self.numbers]))
+
+    def jointed(self) -> Jointed:
+        """What they say of the joints; where cameras and references are known."""
+        assert self.job.references is not None and self.job.cameras is not None
+        cameras = np.array([self.job.cameras[k] for k in self.numbers])
+        suns = suns_in_camera(self.job.references["sun_pointing"][self.numbers], cameras)
+        return Jointed(self._articulation, self.job.config.joints, self._beliefs, suns)
 
 
 def second_moments(mesh: Mesh) -> Array:

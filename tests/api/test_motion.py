@@ -116,6 +116,12 @@ async def test_a_body_held_to_nadir_is_told_so(make_app):
         *(["note"] * len(found["warnings"])),
     ]
     assert "nadir pointing" in said[6]
+    assert found["joints"] == []  # the cube has none
+    wing = {"name": "wing", "law": "still", "probabilities": {"still": 0.97, "sun_tracking": 0.02, "neither": 0.01}}
+    wing |= {"value_deg": 12.5, "offset_deg": None, "sigma_deg": 0.4}
+    assert "joint      wing: still (p 0.970), 12.50 ± 0.40°" in lines(
+        PassMotion.model_validate({**found, "joints": [wing]})
+    )
 
 
 async def test_without_a_camera_rates_are_against_the_image(make_app):

@@ -137,6 +137,12 @@ def test_a_motion_is_told_in_rows(answers):
             "sigma_deg": 0.4,
             "body_axis": "+z",
         },
+        "joints": [
+            {"name": "alpha", "law": "sun_tracking", "probabilities": {"sun_tracking": 0.9}}
+            | {"value_deg": None, "offset_deg": -3.2, "sigma_deg": 0.5},
+            {"name": "dish", "law": "neither", "probabilities": {"neither": 0.8}}
+            | {"value_deg": None, "offset_deg": None, "sigma_deg": None},
+        ],
     }
     rows = answers("spin", "return m.spinRows(given)", found)
     assert rows == [
@@ -145,6 +151,8 @@ def test_a_motion_is_told_in_rows(answers):
         ["Period", "no turning seen"],
         ["Axis in the body", "0.600, -0.800, 0.000 ± 0.25°"],
         ["Attitude mode", "nadir pointing, 99.6 %, +z, 3.12 ± 0.40° off"],
+        ["Joint alpha", "sun tracking, 90 %, -3.20 ± 0.50° from the Sun"],
+        ["Joint dish", "neither, 80 %"],
         ["Frames", "38 of 40, 100 % of these explained"],
         ["Note", "against the camera"],
     ]

@@ -55,10 +55,18 @@ class SunTracking:
                 poses = replace(poses, joints=joints)
         return poses
 
+    def side_deg(self, k: int) -> float:
+        """Degrees of a joint from one side of its panel to the other."""
+        return abs(180.0 / self._ratio(k))
+
+    def _ratio(self, k: int) -> float:
+        stages = self.articulation.joints[self.columns[k]].stages
+        return next(one.ratio for one in stages if self.articulation.parts[self.panels[k]] in one.parts)
+
     def _off(self, k: int, poses: Poses, suns: Array) -> Array:
         """(N,) of one joint. As it turns, its panel's normal runs round a cone: three places tell which."""
         joint, column = self.articulation.joints[self.columns[k]], self.columns[k]
-        ratio = next(one.ratio for one in joint.stages if self.articulation.parts[self.panels[k]] in one.parts)
+        ratio = self._ratio(k)
         quarter = 90.0 / ratio
         here, aside, behind = (self._normals(k, poses, quarter * turn) for turn in (0, 1, 2))
         middle = 0.5 * (here + behind)

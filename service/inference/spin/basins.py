@@ -16,6 +16,8 @@ Model = Literal["constant_rate", "tumbling"]
 Bodies = Literal["free", "mesh"]
 MODES = ("inertially_fixed", "nadir_pointing", "yaw_steering", "sun_pointing", "spin_stabilised", "tumbling")
 """Attitude modes: what holds a body, or that nothing does."""
+JOINT_LAWS = ("still", "sun_tracking", "neither")
+"""What a hinge does over a pass."""
 _SAME_RAD = 0.1  # numerical: two basins whose orientations are nowhere further apart are one course
 _DIFFERENCE = 1e-5  # numerical: of a difference quotient
 
@@ -49,6 +51,20 @@ class AttitudeModes:
 
 
 @dataclass(frozen=True)
+class JointLaw:
+    """Probabilities of ``JOINT_LAWS``, all as likely before, and the constant of the two that have one."""
+
+    name: str
+    probabilities: Mapping[str, float]
+    constants: Mapping[str, tuple[float, float]]  # value, or what the panel is ahead of the Sun; and its sigma: degrees
+
+    @property
+    def best(self) -> str:
+        """The most probable one."""
+        return max(self.probabilities, key=lambda law: self.probabilities[law])
+
+
+@dataclass(frozen=True)
 class PassMotion:
     """Basins, most probable first, with their probabilities."""
 
@@ -59,6 +75,7 @@ class PassMotion:
     n_frames: int  # used
     rotations: tuple[Array, ...] = ()  # (4,) each: q s is seen as q is
     attitude: AttitudeModes | None = None  # where orbit, Sun and camera are known
+    joints: tuple[JointLaw, ...] = ()  # there, too
 
     def probability_of(self, model: Model) -> float:
         """Of a hypothesis."""

@@ -39,6 +39,12 @@ function modeText({ mode, probabilities, offset_deg, sigma_deg, body_axis }) {
   return `${mode.replace("_", " ")}, ${share(probabilities[mode])}${off}`;
 }
 
+function jointText({ law, probabilities, value_deg, offset_deg, sigma_deg }) {
+  const at = value_deg ?? offset_deg;
+  const where = at === null ? "" : `, ${at.toFixed(2)} ± ${sigma_deg.toFixed(2)}°${law === "still" ? "" : " from the Sun"}`;
+  return `${law.replace("_", " ")}, ${share(probabilities[law])}${where}`;
+}
+
 // [[name, value]…] of an answer of `…/motion`.
 export function spinRows(found) {
   const against = found.relative_to === "GCRF" ? "" : " against the camera";
@@ -50,6 +56,7 @@ export function spinRows(found) {
   ];
   if (found.axis_gcrf) rows.push(["Axis in GCRF", `${axis(found.axis_gcrf)} ± ${found.axis_gcrf_sigma_deg.toFixed(2)}°`]);
   if (found.attitude_mode) rows.push(["Attitude mode", modeText(found.attitude_mode)]);
+  for (const joint of found.joints) rows.push([`Joint ${joint.name}`, jointText(joint)]);
   if (found.inertia) {
     const told = found.inertia.ratios.map((ratio, k) => `${ratio.toFixed(3)} ± ${found.inertia.ratios_sigma[k].toFixed(3)}`);
     rows.push(["Moments of inertia over the greatest", told.join(", ")]);
