@@ -15,6 +15,7 @@ from fake_worker import CUBE
 from fastapi import FastAPI
 
 from service.api.door import server_config
+from service.api.schemas import Estimate
 
 PNG = {"Content-Type": "image/png"}
 
@@ -51,6 +52,13 @@ class Api:
         return await self.http.post(
             f"/v1/sessions/{session_id}/frames", content=image(n), headers={**PNG, **(headers or {})}, params=query
         )
+
+    async def estimate(self, session_id: str, n: int = 0, **query: Any) -> dict[str, Any]:
+        """The answer to a frame, checked against its schema."""
+        answer = await self.post(session_id, n, **query)
+        assert answer.status_code == 200, answer.text
+        Estimate.model_validate(answer.json())
+        return answer.json()
 
     async def put(self, session_id: str, index: int, n: int, **query: Any):
         url = f"/v1/sessions/{session_id}/frames/{index}"

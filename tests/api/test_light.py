@@ -30,10 +30,7 @@ async def api(make_app, anyio_backend):
 
 
 async def light(api, session_id: str, n: int = 0, **query) -> dict:
-    answer = await api.post(session_id, n, **query)
-    assert answer.status_code == 200, answer.text
-    Estimate.model_validate(answer.json())
-    return answer.json()["light"]
+    return (await api.estimate(session_id, n, **query))["light"]
 
 
 async def test_a_told_direction_is_stored_as_given_and_used_at_length_one(api):

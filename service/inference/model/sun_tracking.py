@@ -66,13 +66,12 @@ class SunTracking:
     def _off(self, k: int, poses: Poses, suns: Array) -> Array:
         """(N,) of one joint. As it turns, its panel's normal runs round a cone: three places tell which."""
         joint, column = self.articulation.joints[self.columns[k]], self.columns[k]
-        ratio = self._ratio(k)
+        ratio, half = self._ratio(k), self.side_deg(k)
         quarter = 90.0 / ratio
         here, aside, behind = (self._normals(k, poses, quarter * turn) for turn in (0, 1, 2))
         middle = 0.5 * (here + behind)
         across = np.sum((here - middle) * suns, axis=1), np.sum((aside - middle) * suns, axis=1)
         best = poses.joints[:, column] + np.rad2deg(np.arctan2(across[1], across[0])) / ratio
-        half = 2 * abs(quarter)  # the panel's other side
         near = best - half * np.round((best - poses.joints[:, column]) / half)
         if joint.maximum - joint.minimum < half:  # the nearest that the joint reaches, on either side
             near = best - half * np.round((best - 0.5 * (joint.minimum + joint.maximum)) / half)

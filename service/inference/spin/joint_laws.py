@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import lgamma, log, pi
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from service.inference.spin.frames import DEGREES
 from service.inference.state import Array
 
 TRACKING_SIGMA_DEG = 10.0  # prior: of a drive's offset from the Sun, as of ``joints.sun_tracking``
-# exact: of the Student t of one number with ``DEGREES``, which is 4: Gamma(5/2) / (Gamma(2) sqrt(4 pi)) = 3 / 8
-_LOG_HEIGHT = float(np.log(3 / 8))
+# exact: of the Student t of one number
+_LOG_HEIGHT = lgamma((DEGREES + 1) / 2) - lgamma(DEGREES / 2) - 0.5 * log(DEGREES * pi)
 _PLACES = np.linspace(-8.0, 8.0, 161)  # numerical: of the constant about its best, in standard deviations
 _STARTS = 200  # numerical: frames at whose own values the constant is looked for
 
@@ -64,16 +65,19 @@ def _constant(
     seen: Seen, span: float, counted: float, log_prior: Callable[[Array], Array]
 ) -> tuple[float, float, float]:
     """Log evidence of one constant in all frames, its mean and its standard deviation."""
+
+    def log_posterior(constants: Array) -> Array:
+        return np.asarray(counted * _log_likelihood(seen, span, constants) + log_prior(constants))
+
     tried = np.unique(np.linspace(0, len(seen.value) - 1, _STARTS).round().astype(int))
     places = seen.value[tried]
-    best = float(places[np.argmax(counted * _log_likelihood(seen, span, places) + log_prior(places))])
+    best = float(places[np.argmax(log_posterior(places))])
     width = 1 / float(np.sqrt(counted * np.sum(seen.sigma**-2.0)))
     for spread in (float(np.median(seen.sigma)), width):  # first to the top, then about it
         places = best + spread * _PLACES
-        logs = counted * _log_likelihood(seen, span, places) + log_prior(places)
-        best = float(places[np.argmax(logs)])
+        best = float(places[np.argmax(log_posterior(places))])
     places = best + 2 * width * _PLACES
-    logs = counted * _log_likelihood(seen, span, places) + log_prior(places)
+    logs = log_posterior(places)
     total = float(np.logaddexp.reduce(logs))
     weight = np.exp(logs - total)
     mean = float(weight @ places)

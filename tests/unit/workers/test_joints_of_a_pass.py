@@ -40,10 +40,8 @@ def told(body, law: str, config: SessionConfig = WING, offset_deg: float = 4.0) 
     sun = rotation_matrices(camera).T @ SUN
     deviation = np.array([*[np.deg2rad(0.5)] * 3, 0.1, 0.1, 1e-2, 1.5])
     for k in range(FRAMES):
-        q = exp_so3(np.array([0.3, -0.2, 0.8]) + 0.0)
-        pose = Poses(
-            multiply(q, exp_so3(2.0 * k * RATE))[None], np.full((1, 2), 64.0), np.zeros(1), np.full((1, 1), 20.0)
-        )
+        q = multiply(exp_so3(np.array([0.3, -0.2, 0.8])), exp_so3(2.0 * k * RATE))
+        pose = Poses(q[None], np.full((1, 2), 64.0), np.zeros(1), np.full((1, 1), 20.0))
         if law == "sun_tracking":
             pose = tracking.pointed(pose, sun[None])
             pose = replace(pose, joints=pose.joints + offset_deg)
