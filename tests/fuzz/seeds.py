@@ -167,7 +167,7 @@ def json_seeds(model: str = "MODEL", other: str = "OTHER", joints: tuple[str, ..
         "model_id": model,
         "background": "auto",
         "filter": {"particles": 60},
-        "prior": {"orbit": TLE, "unit_m": 1.0, "scale_tolerance": 0.1},
+        "prior": {"orbit": TLE, "unit_m": 1.0, "scale_tolerance": 0.1, "attitude_mode": "yaw_steering"},
         "camera": {
             "mount": "altaz",
             "up_angle_deg": 10.0,
