@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.table import Table
 
 from service.bench.motion_bench import RATE_SIGMA
 from service.bench.motion_streams import StreamPlan, draw_motion, seen_stream
+from service.bench.told_laws import line_of, told_document
 from service.inference.pose import exp_so3, from_matrices, multiply
 from service.inference.spin.alignment import ALIGNMENTS, OFFSET_SIGMA
 from service.inference.spin.attitude_modes import attitude_modes
@@ -75,14 +74,16 @@ def above_s(height_km: float, elevation_deg: float) -> float:
     return float(2 * half / np.sqrt(_MU / radius**3))
 
 
-def draw_references(rng: np.random.Generator, times: Array, height_km: float) -> dict[str, Array]:
-    """(n, 4) of the frames that bodies are held in, on a circular orbit under a Sun anywhere."""
+def draw_references(
+    rng: np.random.Generator, times: Array, height_km: float, towards_sun: Array | None = None
+) -> dict[str, Array]:
+    """(n, 4) of the frames that bodies are held in, on a circular orbit. ``towards_sun``: GCRF; None: anywhere."""
     radius = _EARTH_KM + height_km
     plane = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     phase = np.sqrt(_MU / radius**3) * times + rng.uniform(0, 2 * np.pi)
     place = np.cos(phase)[:, None] * plane[0] + np.sin(phase)[:, None] * plane[1]
     velocity = -np.sin(phase)[:, None] * plane[0] + np.cos(phase)[:, None] * plane[1]
-    sun = np.broadcast_to(rng.standard_normal(3), place.shape)
+    sun = np.broadcast_to(rng.standard_normal(3) if towards_sun is None else towards_sun, place.shape)
     return {
         "nadir_pointing": from_matrices(nadir_frames(place, velocity)),
         "yaw_steering": from_matrices(yaw_steering_frames(place, sun)),
@@ -110,33 +111,6 @@ def draw_orientations(rng: np.random.Generator, mode: str, times: Array, referen
 
 def mode_document(machine: Mapping[str, Any], rows: Sequence[ModeRow]) -> dict[str, Any]:
     """The JSON: rows, and for each mode how often it was told; then all of them, with their reliability."""
-    lines = [_line(name, [row for row in rows if row.truth == name]) for name in MODES]
-    overall = [line for line in lines if line["passes"]] + [_line("all", rows)]
-    return {"machine": dict(machine), "rows": [asdict(row) for row in rows], "overall": overall, "absent": {}}
-
-
-def _line(name: str, rows: Sequence[ModeRow]) -> dict[str, Any]:
-    if not rows:
-        return {"mode": name, "passes": 0}
-    right = np.array([row.told == row.truth for row in rows])
-    p = np.array([row.probability for row in rows])
-    sure = p >= 0.95
-    return {
-        "mode": name,
-        "passes": len(rows),
-        "right": float(right.mean()),
-        "told_p": float(p.mean()),
-        "sure": float(sure.mean()),
-        "sure_right": float(right[sure].mean()) if sure.any() else None,
-        "seconds_med": float(np.median([row.seconds for row in rows])),
-    }
-
-
-def mode_table(document: Mapping[str, Any]) -> Table:
-    """The lines of ``mode_document``."""
-    table = Table(title="attitude modes", title_justify="left", box=MARKDOWN)
-    for name in document["overall"][0]:
-        table.add_column(name, justify="right")
-    for line in document["overall"]:
-        table.add_row(*(f"{v:.3g}" if isinstance(v, float) else "-" if v is None else str(v) for v in line.values()))
-    return table
+    by_mode = {name: [row for row in rows if row.truth == name] for name in MODES}
+    lines = [line_of("mode", name, mine) for name, mine in by_mode.items() if mine]
+    return told_document(machine, rows, [*lines, line_of("mode", "all", rows)])

@@ -9,6 +9,7 @@ import numpy as np
 from service.inference.pose import conjugate, exp_so3, multiply
 from service.inference.spin.basins import nutation
 from service.inference.spin.frames import DEGREES, PassFrames, pass_frames
+from service.inference.spin.noise import SCALE_LOG_SIGMA
 from service.inference.spin.rigid_body import N_INERTIA, Motions, orientations
 from service.inference.state import Array
 
@@ -59,13 +60,16 @@ class Seen:
     lasts_s: float
 
 
-def seen_stream(rng: np.random.Generator, times: Array, q: Array, sigma_deg: float | None = None) -> Seen:
-    """Frames of orientations (n, 4): each has the truth and its twin as modes, and errs alike with its neighbours."""
-    sigma_deg = drawn_sigma_deg(rng) if sigma_deg is None else sigma_deg
+def seen_stream(rng: np.random.Generator, times: Array, q: Array, told: tuple[float, float] | None = None) -> Seen:
+    """Frames of orientations (n, 4): each has the truth and its twin as modes, and errs alike with its neighbours.
+
+    ``told``: what frames state, degrees, and how much more they err than that; None: drawn.
+    """
+    sigma_deg, scatter = drawn_quality(rng) if told is None else told
     stays, lasts_s = float(rng.choice(_STAYS)), float(rng.choice(_LASTS_S))
     widths = np.deg2rad(sigma_deg) * np.exp(rng.normal(0.0, 0.4, 3))
     smooth = bool(rng.random() < 0.5)
-    errors = draw_errors(rng, times, stays, lasts_s, smooth=smooth) * widths
+    errors = draw_errors(rng, times, stays, lasts_s, smooth=smooth) * widths * scatter
     seen = multiply(q, exp_so3(errors))
     missed = rng.random(len(times)) < _MISSED
     seen[missed] = exp_so3(rng.normal(0.0, 2.0, (int(missed.sum()), 3)))
@@ -77,9 +81,9 @@ def seen_stream(rng: np.random.Generator, times: Array, q: Array, sigma_deg: flo
     return Seen(pass_frames(times, modes, spreads, weights), sigma_deg, stays, lasts_s)
 
 
-def drawn_sigma_deg(rng: np.random.Generator) -> float:
-    """Of a frame's orientation, as telescope and air allow."""
-    return float(np.exp(rng.uniform(*np.log(_SIGMAS_DEG))))
+def drawn_quality(rng: np.random.Generator) -> tuple[float, float]:
+    """What a telescope's frames state of an orientation, degrees, and the factor by which they err more than that."""
+    return float(np.exp(rng.uniform(*np.log(_SIGMAS_DEG)))), float(np.exp(rng.normal(0.0, SCALE_LOG_SIGMA)))
 
 
 def draw_motion(rng: np.random.Generator, plan: StreamPlan, *, tumbling: bool) -> Motions:

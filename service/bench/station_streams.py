@@ -11,7 +11,7 @@ from rich.box import MARKDOWN
 from rich.table import Table
 
 from service.bench.motion_bench import RATE_SIGMA
-from service.bench.motion_streams import StreamPlan, draw_motion, drawn_sigma_deg, seen_stream
+from service.bench.motion_streams import StreamPlan, draw_motion, drawn_quality, seen_stream
 from service.inference.pose import angle_between, conjugate, exp_so3, multiply
 from service.inference.spin.basins import PassMotion, same_course
 from service.inference.spin.fit import fit_pass
@@ -52,8 +52,8 @@ def _row(rng: np.random.Generator, plan: StreamPlan, apart: float) -> StationRow
     side = rng.uniform(0, 2 * np.pi)
     across = np.array([np.cos(side), np.sin(side), 0.0])  # of the first one's line of sight, which is z
     cameras = np.array([[1.0, 0.0, 0.0, 0.0], exp_so3(apart * across)])
-    sigma_deg = drawn_sigma_deg(rng)  # telescopes and air are alike; how errors stay is each one's own
-    seen = [seen_stream(rng, times, multiply(conjugate(camera), q), sigma_deg).frames for camera in cameras]
+    quality = drawn_quality(rng)  # telescopes and air are alike; how errors stay is each one's own
+    seen = [seen_stream(rng, times, multiply(conjugate(camera), q), quality).frames for camera in cameras]
     stations = [seen_from(one, np.tile(camera, (len(times), 1))) for one, camera in zip(seen, cameras, strict=True)]
     found = {name: fit_pass(one, RATE_SIGMA) for name, one in zip(_ALONE, stations, strict=True)}
     found["both"] = fit_pass(merged(stations)[0], RATE_SIGMA)

@@ -9,6 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from service.bench.motion_streams import StreamPlan
+    from service.bench.told_laws import ToldLaw
 
 
 def motion(
@@ -20,6 +21,7 @@ def motion(
     tracked: Annotated[int, typer.Option(min=0, help="So many passes drawn and tracked, in the place of streams.")] = 0,
     nosun: Annotated[bool, typer.Option("--nosun", help="Tracked passes are not told where the Sun is.")] = False,
     modes: Annotated[int, typer.Option(min=0, help="So many passes in attitude modes, in the place of both.")] = 0,
+    joints: Annotated[int, typer.Option(min=0, help="So many tracked with a wing, in the place of all these.")] = 0,
     stations: Annotated[int, typer.Option(min=0, help="So many passes over two telescopes, in their place.")] = 0,
     base: Annotated[float, typer.Option(min=0, help="Between the two, km; the object is 700 km away.")] = 300.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the passes.")] = 0,
@@ -34,7 +36,9 @@ def motion(
     if modes:
         _modes(modes, frames, seed, json)
         return
-
+    if joints:
+        _joints(StreamPlan(frames, span, (slowest, max(10.0, slowest))), joints, seed, json)
+        return
     if stations:
         _stations(StreamPlan(frames, span, (slowest, max(10.0, slowest))), stations, base, seed, json)
         return
@@ -68,11 +72,23 @@ def _stations(plan: StreamPlan, passes: int, base: float, seed: int, json: Path 
 
 def _modes(passes: int, frames: int, seed: int, json: Path | None) -> None:
     from service.bench.machine import describe_machine
-    from service.bench.mode_streams import ModeRow, mode_document, mode_table, run_modes
+    from service.bench.mode_streams import mode_document, run_modes
+    from service.bench.told_laws import told_tables
     from service.cli.bench_output import publish
 
-    def tell(row: ModeRow) -> None:
-        typer.echo(f"{row.truth}: {row.told} {row.probability:.3f}", err=True)
+    document = mode_document(describe_machine(), run_modes(passes, frames, seed, _tell))
+    publish(document, told_tables("attitude modes", document), None, json, None)
 
-    document = mode_document(describe_machine(), run_modes(passes, frames, seed, tell))
-    publish(document, (mode_table(document),), None, json, None)
+
+def _joints(plan: StreamPlan, passes: int, seed: int, json: Path | None) -> None:
+    from service.bench.machine import describe_machine
+    from service.bench.told_laws import told_tables
+    from service.bench.tracked_joints import joint_document, run_joints
+    from service.cli.bench_output import publish
+
+    document = joint_document(describe_machine(), run_joints(plan, passes, seed, _tell))
+    publish(document, told_tables("the joints of passes", document), None, json, None)
+
+
+def _tell(row: ToldLaw) -> None:
+    typer.echo(f"{row.truth}: {row.told} {row.probability:.3f}", err=True)

@@ -75,6 +75,7 @@ def _joint(tracking: SunTracking, k: int, value: Array, sigma: Array, lacks: Arr
         Seen(value, np.maximum(sigma, least), turns),
         Seen(lacks, np.maximum(lacks_sigma, least), either),
         min(span, _TURN_DEG),
+        tracking.sigma_deg,
     )
 
 

@@ -13,7 +13,6 @@ from service.inference.spin.climb import OUTLIER
 from service.inference.spin.frames import DEGREES
 from service.inference.state import Array
 
-TRACKING_SIGMA_DEG = 10.0  # prior: of a drive's offset from the Sun, as of ``joints.sun_tracking``
 # exact: of the Student t of one number
 _LOG_HEIGHT = lgamma((DEGREES + 1) / 2) - lgamma(DEGREES / 2) - 0.5 * log(DEGREES * pi)
 _PLACES = np.linspace(-8.0, 8.0, 161)  # numerical: of the constant about its best, in standard deviations
@@ -37,16 +36,20 @@ class SeenJoint:
     value: Seen
     lacks: Seen  # of facing the Sun
     span: float  # degrees that it can turn
+    offset_sigma: float  # prior: of a drive's offset from the Sun, degrees; as of ``joints.sun_tracking``
 
 
 def joint_law(seen: SeenJoint, counted: float) -> JointLaw:
     """``counted``: share of the frames that count, were each to err by itself.
 
-    Still: a value, uniform in the range. Tracking: an offset from the Sun, N(0, 10 degrees). Neither: each frame's own
-    value, uniform in the range. An outlier's is uniform, too.
+    Still: a value, uniform in the range. Tracking: an offset from the Sun, N(0, ``offset_sigma``). Neither: each
+    frame's own value, uniform in the range. An outlier's is uniform, too.
     """
     still = _constant(seen.value, seen.span, counted, lambda c: np.full(len(c), -np.log(seen.span)))
-    tracking = _constant(seen.lacks, seen.span, counted, _of_offset)
+    log_height = np.log(seen.offset_sigma) + 0.5 * np.log(2 * np.pi)
+    tracking = _constant(
+        seen.lacks, seen.span, counted, lambda c: np.asarray(-0.5 * (c / seen.offset_sigma) ** 2 - log_height)
+    )
     logs = np.array([still[0], tracking[0], -counted * len(seen.value.value) * float(np.log(seen.span))])
     shares = np.exp(logs - np.logaddexp.reduce(logs))
     return JointLaw(
@@ -54,11 +57,6 @@ def joint_law(seen: SeenJoint, counted: float) -> JointLaw:
         dict(zip(JOINT_LAWS, shares.tolist(), strict=True)),
         {"still": still[1:], "sun_tracking": (-tracking[1], tracking[2])},
     )
-
-
-def _of_offset(offset: Array) -> Array:
-    log_height = np.log(TRACKING_SIGMA_DEG) + 0.5 * np.log(2 * np.pi)
-    return np.asarray(-0.5 * (offset / TRACKING_SIGMA_DEG) ** 2 - log_height)
 
 
 def _constant(

@@ -29,7 +29,7 @@ SHARES = (0.1, 0.25, 0.5, 0.8, 0.9, 0.95, 0.98)
 what a frame's stated spread holds and its neighbours do not show is an error that stays."""
 LASTS_S = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # prior: log-uniform from frames' intervals to a pass
 _AROUND = np.linspace(-2.5, 2.5, 7)  # numerical: places of s about its best, in standard deviations of its log
-_SCALE_LOG_SIGMA = 0.35  # prior: stated spreads are right within a factor 1.4, as frames' regions show
+SCALE_LOG_SIGMA = 0.35  # prior: stated spreads are right within a factor 1.4, as frames' regions show
 _LEAST_STEP = 3e-4  # numerical: of x or r between frames: the precision grows as its cube
 _TOGETHER = 64  # numerical: laws of all stations together that are looked at
 _AXES = 3  # exact: of a rotation
@@ -133,7 +133,7 @@ def _laws_of_stations(linear: Linear) -> list[list[_Law]]:
         for a, tau, smooth, log, sums in laws:
             scale = float(np.median(_scales(own, sums)[0]))
             evidence = log + float(_at_scales(own, sums, np.array([scale]))[2][0])
-            wide = -0.5 * (np.log(scale) / _SCALE_LOG_SIGMA) ** 2
+            wide = -0.5 * (np.log(scale) / SCALE_LOG_SIGMA) ** 2
             tried.append((evidence, _Law(a, tau, smooth, log + wide, scale, len(rows), sums.scaled(scale, len(rows)))))
         found.append([law for _, law in sorted(tried, key=lambda one: -one[0])[:kept]])
     return found
@@ -161,13 +161,13 @@ def _grid() -> Iterator[tuple[float, float, bool, float]]:
 
 def _scales(linear: Linear, sums: _Sums) -> tuple[Array, float]:
     """Places of s about its best, and the log of s between two of them."""
-    sure = 2 * 3 * len(linear.residual) + _SCALE_LOG_SIGMA**-2  # curvature in log s at the best
+    sure = 2 * 3 * len(linear.residual) + SCALE_LOG_SIGMA**-2  # curvature in log s at the best
     scale = 1.0
     for _ in range(3):
         step = _at_scales(linear, sums, np.array([scale]))[0][0]
         left = sums.squares + 2 * step @ sums.slope + step @ sums.normal @ step
         wanted = 0.5 * np.log(left / (3 * len(linear.residual)))
-        scale = float(np.exp(wanted * (1 - _SCALE_LOG_SIGMA**-2 / sure)))
+        scale = float(np.exp(wanted * (1 - SCALE_LOG_SIGMA**-2 / sure)))
     spacing = float(_AROUND[1] - _AROUND[0]) / np.sqrt(sure)
     return scale * np.exp(_AROUND / np.sqrt(sure)), spacing
 
@@ -287,5 +287,5 @@ def _at_scales(linear: Linear, sums: _Sums, scales: Array) -> tuple[Array, Array
     step = np.einsum("sij,sj->si", inverse, slope)
     log = -0.5 * (sums.squares / scales**2 + 6 * n * np.log(scales) + sums.log_determinant + 3 * n * np.log(2 * np.pi))
     log += 0.5 * np.sum(slope * step, axis=1) + 0.5 * p * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(normal)[1]
-    log -= 0.5 * (np.log(scales) / _SCALE_LOG_SIGMA) ** 2 + np.log(_SCALE_LOG_SIGMA) + 0.5 * np.log(2 * np.pi)
+    log -= 0.5 * (np.log(scales) / SCALE_LOG_SIGMA) ** 2 + np.log(SCALE_LOG_SIGMA) + 0.5 * np.log(2 * np.pi)
     return step, np.asarray(inverse), np.asarray(log)

@@ -5,7 +5,7 @@ import pytest
 
 from service.inference.spin.joint_laws import JointLaw, Seen, SeenJoint, joint_law
 
-SPAN, FRAMES, SIGMA = 360.0, 60, 1.5
+SPAN, FRAMES, SIGMA, OFFSET = 360.0, 60, 1.5, 10.0
 
 
 def seen(rng, law: str, counted: float = 0.3, sun_turns: float = 20.0) -> tuple[JointLaw, float]:
@@ -15,7 +15,7 @@ def seen(rng, law: str, counted: float = 0.3, sun_turns: float = 20.0) -> tuple[
         constant = rng.uniform(-180, 180)
         value = np.full(FRAMES, constant)
     elif law == "sun_tracking":
-        constant = rng.normal(0, 10)
+        constant = rng.normal(0, OFFSET)
         value = sun + constant
     else:
         constant, value = np.nan, rng.uniform(-180, 180, FRAMES)
@@ -26,7 +26,7 @@ def seen(rng, law: str, counted: float = 0.3, sun_turns: float = 20.0) -> tuple[
     lacks -= 180 * np.round(lacks / 180)
     widths = np.full(FRAMES, SIGMA)
     return joint_law(
-        SeenJoint("panel", Seen(value, widths, 360.0), Seen(lacks, widths, 180.0), SPAN), counted
+        SeenJoint("panel", Seen(value, widths, 360.0), Seen(lacks, widths, 180.0), SPAN, OFFSET), counted
     ), constant
 
 
@@ -63,6 +63,6 @@ def test_frames_that_err_alike_count_less():
 def test_a_hinge_of_no_half_turn_has_one_side():
     """Its values are no circle: 80 degrees from the Sun is 80 degrees, not -100."""
     values = Seen(np.full(20, 40.0), np.full(20, 1.0))
-    found = joint_law(SeenJoint("flap", values, Seen(np.full(20, 80.0), np.full(20, 1.0)), 90.0), 0.5)
+    found = joint_law(SeenJoint("flap", values, Seen(np.full(20, 80.0), np.full(20, 1.0)), 90.0, OFFSET), 0.5)
     assert found.best == "still" and found.probabilities["sun_tracking"] < 1e-6
     assert found.constants["still"][0] == pytest.approx(40.0, abs=0.1)
