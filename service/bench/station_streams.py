@@ -82,11 +82,15 @@ def _better(row: StationRow) -> str:
 
 
 def summary(rows: Sequence[StationRow]) -> dict[str, Any]:
-    """Of the better one alone, by what it states, and of both; errors where their courses are right."""
+    """Of the better one alone, by what it states, and of both; errors where their courses are right.
+
+    ``ideal_ratio``: of two that err independently, as they state; 1/sqrt(2) where they are equally good.
+    """
     better = [_better(row) for row in rows]
     pairs = list(zip(rows, better, strict=True))
     right = [(row, name) for row, name in pairs if row.course_right[name] and row.course_right["both"]]
     errors = np.array([(row.error_deg[name], row.error_deg["both"]) for row, name in right])
+    stated = np.array([[row.sigma_deg[name] for name in _ALONE] for row, _ in right]) ** -2.0
     return {
         "passes": len(rows),
         "right_better": float(np.mean([row.course_right[name] for row, name in pairs])),
@@ -95,6 +99,7 @@ def summary(rows: Sequence[StationRow]) -> dict[str, Any]:
         "rms_better_deg": float(np.sqrt(np.mean(errors[:, 0] ** 2))),
         "rms_both_deg": float(np.sqrt(np.mean(errors[:, 1] ** 2))),
         "ratio": float(np.sqrt(np.mean(errors[:, 1] ** 2) / np.mean(errors[:, 0] ** 2))),
+        "ideal_ratio": float(np.sqrt(np.sum(1 / stated.sum(axis=1)) / np.sum(1 / stated.max(axis=1)))),
         "median_ratio": float(np.median(errors[:, 1]) / np.median(errors[:, 0])),
     }
 
