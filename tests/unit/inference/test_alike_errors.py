@@ -45,7 +45,7 @@ def test_evidence_and_posterior_are_the_dense_ones(a, tau, stations, smooth):
     seen = one.residual.ravel() - jacobian @ one.away
     whole = errors + jacobian @ np.diag(1 / one.precision) @ jacobian.T
     expected = multivariate_normal(np.zeros(len(seen)), whole).logpdf(seen)
-    sigma = noise._SCALE_LOG_SIGMA
+    sigma = noise.SCALE_LOG_SIGMA
     of_scale = -0.5 * (np.log(scale) / sigma) ** 2 - np.log(sigma) - 0.5 * np.log(2 * np.pi)
     density = 0.5 * np.sum(np.log(one.precision)) - 2 * np.log(2 * np.pi)  # of the prior at its mean
     density -= 0.5 * np.sum(one.precision * one.away**2)
@@ -93,5 +93,5 @@ def test_a_station_whose_errors_are_larger_is_the_same_in_units_of_its_scale():
     scaled = noise._at_scales(one, plain.scaled(1.3, 25), np.array([1.0]))
     np.testing.assert_allclose(scaled[0], found[0])
     np.testing.assert_allclose(scaled[1], found[1])
-    of_scale = -0.5 * (np.log(1.3) / noise._SCALE_LOG_SIGMA) ** 2
+    of_scale = -0.5 * (np.log(1.3) / noise.SCALE_LOG_SIGMA) ** 2
     assert scaled[2][0] + of_scale == pytest.approx(found[2][0])
