@@ -46,7 +46,7 @@ def ingest(
     from service.cli.model_file import read_joint_list
 
     plan = SessionPlan(mesh, background, box, border, read_joint_list(joints), read_config(config), name)
-    with connected(url, key) as client:
+    with connected(url, key, patient=True) as client:
         run = Ingest(client, watch, plan, session, note or watch / NOTE, file_times=file_times, as_json=as_json)
         try:
             run.follow(once=once, settle_s=settle, poll_s=poll)

@@ -17,8 +17,12 @@ Key = Annotated[str | None, typer.Option(envvar="SKYPOSE_API_KEY", help="API key
 
 
 @contextmanager
-def connected(url: str, key: str | None) -> Iterator[Client]:
-    """A client of the service. What it warns of is told in a line; what goes wrong too, with exit status 1."""
+def connected(url: str, key: str | None, *, patient: bool = False) -> Iterator[Client]:
+    """A client of the service. What it warns of is told in a line; what goes wrong too, with exit status 1.
+
+    ``patient``: a service that does not answer at first may still be starting. Else nobody waits for one that is not
+    there; once it has answered, a restart is waited for.
+    """
     import warnings
 
     import httpx
@@ -26,6 +30,8 @@ def connected(url: str, key: str | None) -> Iterator[Client]:
     from service.client import Client, ClientError
 
     try:
+        if not patient:
+            httpx.get(f"{url.rstrip('/')}/healthz")
         with warnings.catch_warnings(), Client(url, api_key=key) as client:
             warnings.showwarning = lambda message, *_: typer.secho(f"{url}: {message}", fg="yellow", err=True)
             yield client
