@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.table import Table
 from scipy.stats import chi2
 
 from service.bench.motion_streams import StreamPlan, draw_stream, nutation_deg
+from service.bench.tables import table_of
 from service.inference.spin.basins import Basin, PassMotion, inertia_ratios, same_course, told
 from service.inference.spin.fit import fit_pass
 from service.inference.spin.rigid_body import Motions
@@ -135,12 +135,7 @@ def motion_document(machine: dict[str, Any], rows: Sequence[MotionRow]) -> dict[
 
 def motion_table(document: dict[str, Any]) -> Table:
     """The lines of ``summary``."""
-    table = Table(title="the motion of passes", title_justify="left", box=MARKDOWN)
-    for name in document["overall"][0]:
-        table.add_column(name, justify="right")
-    for line in document["overall"]:
-        table.add_row(*(f"{v:.3g}" if isinstance(v, float) else "-" if v is None else str(v) for v in line.values()))
-    return table
+    return table_of("the motion of passes", document["overall"])
 
 
 def _of(rows: Sequence[MotionRow], name: str) -> Array:

@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.table import Table
 
 from service.bench.motion_bench import RATE_SIGMA
 from service.bench.motion_streams import StreamPlan, draw_motion, drawn_quality, seen_stream
+from service.bench.tables import table_of
 from service.inference.pose import angle_between, conjugate, exp_so3, multiply
 from service.inference.spin.basins import PassMotion, same_course
 from service.inference.spin.fit import fit_pass
@@ -111,8 +111,4 @@ def station_document(machine: dict[str, Any], rows: Sequence[StationRow]) -> dic
 
 def station_table(document: dict[str, Any]) -> Table:
     """The line of ``summary``."""
-    table = Table(title="one body, two telescopes", title_justify="left", box=MARKDOWN)
-    for name in document["overall"]:
-        table.add_column(name, justify="right")
-    table.add_row(*(f"{v:.3g}" if isinstance(v, float) else str(v) for v in document["overall"].values()))
-    return table
+    return table_of("one body, two telescopes", [document["overall"]])

@@ -8,8 +8,9 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.table import Table
+
+from service.bench.tables import table_of
 
 _SURE = 0.95
 _BINS = (0.0, 0.6, 0.9, 0.99, 1.0)  # of what is told
@@ -78,16 +79,7 @@ def told_document(
 
 def told_tables(title: str, document: Mapping[str, Any]) -> tuple[Table, Table]:
     """The lines of ``told_document``."""
-    return _table(title, document["overall"]), _table("reliability", document["reliability"])
-
-
-def _table(title: str, lines: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table(title=title, title_justify="left", box=MARKDOWN)
-    for name in lines[0]:
-        table.add_column(name, justify="right")
-    for line in lines:
-        table.add_row(*(f"{v:.3g}" if isinstance(v, float) else "-" if v is None else str(v) for v in line.values()))
-    return table
+    return table_of(title, document["overall"]), table_of("reliability", document["reliability"])
 
 
 def _right(rows: Sequence[ToldLaw]) -> np.ndarray[Any, np.dtype[np.bool_]]:

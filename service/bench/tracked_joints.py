@@ -155,13 +155,12 @@ def _asked(
 
 def joint_document(machine: Mapping[str, Any], rows: Sequence[JointRow]) -> dict[str, Any]:
     """The JSON: rows, and for each law how often it was told and how well its constant is known; then all."""
-    lines = [_line(name, [row for row in rows if row.truth == name]) for name in JOINT_LAWS]
-    return told_document(machine, rows, [line for line in lines if line["passes"]] + [_line("all", rows)])
+    by_law = {name: [row for row in rows if row.truth == name] for name in JOINT_LAWS}
+    lines = [_line(name, mine) for name, mine in by_law.items() if mine]
+    return told_document(machine, rows, [*lines, _line("all", rows)])
 
 
 def _line(name: str, rows: Sequence[JointRow]) -> dict[str, Any]:
-    if not rows:
-        return {"passes": 0}
     errors = [abs(row.constant_error_deg) for row in rows if row.constant_error_deg is not None]
     inside = np.array([row.inside for row in rows if row.inside is not None])
     known = {

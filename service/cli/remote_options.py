@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -31,7 +31,8 @@ def connected(url: str, key: str | None, *, patient: bool = False) -> Iterator[C
 
     try:
         if not patient:
-            httpx.get(f"{url.rstrip('/')}/healthz")
+            with suppress(httpx.TimeoutException):  # one that is slow is there
+                httpx.get(f"{url.rstrip('/')}/healthz")
         with warnings.catch_warnings(), Client(url, api_key=key) as client:
             warnings.showwarning = lambda message, *_: typer.secho(f"{url}: {message}", fg="yellow", err=True)
             yield client
