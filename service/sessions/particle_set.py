@@ -29,13 +29,16 @@ class ParticleSet:
         the share of the draws that fell on it as its weight.
         """
         state = decode(FilterState, self.packed)
+        poses = state.poses
+        packed = (poses.quaternion, poses.position, poses.log_scale, poses.joints, state.log_weights)
+        quaternion, position, log_scale, joints, log_weights = (np.asarray(part, np.float64) for part in packed)
         arrays = {
-            "orientation": state.poses.quaternion,
-            "position_px": state.poses.position * self.camera.binning + self.camera.origin_px,
-            "scale_px": np.exp(state.poses.log_scale) * self.camera.binning,
-            "joints": state.poses.joints,
+            "orientation": quaternion,
+            "position_px": position * self.camera.binning + self.camera.origin_px,
+            "scale_px": np.exp(log_scale) * self.camera.binning,
+            "joints": joints,
         }
-        weights = np.exp(state.log_weights - np.logaddexp.reduce(state.log_weights))
+        weights = np.exp(log_weights - np.logaddexp.reduce(log_weights))
         if most is None or len(weights) <= most:
             return {**arrays, "weights": weights}
         cumulative = np.cumsum(weights)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import math
 import struct
 import types
 import typing
@@ -80,11 +81,9 @@ def _read_arrays(specs: list[dict[str, Any]], data: memoryview) -> list[NDArray[
     arrays: list[NDArray[Any]] = []
     offset = 0
     for spec in specs:
-        dtype = np.dtype(str(spec["dtype"]))
-        if dtype.kind not in _KINDS:
-            raise ValueError(f"dtype {dtype} is not allowed")
+        dtype = _dtype(str(spec["dtype"]))
         shape = tuple(int(n) for n in spec["shape"])
-        count = int(np.prod(shape, dtype=object)) if shape else 1
+        count = math.prod(shape)
         if min(shape, default=0) < 0 or offset + count * dtype.itemsize > len(data):
             raise ValueError("arrays reach past the end")
         # A copy in NumPy's own memory: writable, and aligned like any other array.
@@ -93,6 +92,14 @@ def _read_arrays(specs: list[dict[str, Any]], data: memoryview) -> list[NDArray[
     if offset != len(data):
         raise ValueError("bytes left over after the arrays")
     return arrays
+
+
+@functools.lru_cache(64)
+def _dtype(name: str) -> np.dtype[Any]:
+    dtype = np.dtype(name)
+    if dtype.kind not in _KINDS:
+        raise ValueError(f"dtype {dtype} is not allowed")
+    return dtype
 
 
 def _pack(value: object, arrays: list[NDArray[Any]]) -> Any:
@@ -133,7 +140,7 @@ def _unpack(node: Any, hint: Any, arrays: list[NDArray[Any]]) -> Any:
     if isinstance(hint, types.UnionType):  # what may be None, and is not
         (hint,) = (kind for kind in typing.get_args(hint) if kind is not types.NoneType)
     hints = _hints_of(hint)
-    unknown = set(body) - {f.name for f in dataclasses.fields(hint)}
+    unknown = body.keys() - hints.keys()
     if tag != "fields" or unknown:
         raise ValueError(f"unknown: {', '.join(sorted(unknown)) or tag}")
     return hint(**{name: _unpack(item, hints[name], arrays) for name, item in body.items()})
@@ -142,4 +149,5 @@ def _unpack(node: Any, hint: Any, arrays: list[NDArray[Any]]) -> Any:
 @functools.cache
 def _hints_of(kind: type) -> Mapping[str, Any]:
     """The types of a dataclass's fields: as texts they are read anew each time, which takes half a millisecond."""
-    return typing.get_type_hints(kind)
+    hints = typing.get_type_hints(kind)
+    return {one.name: hints[one.name] for one in dataclasses.fields(kind)}

@@ -93,7 +93,7 @@ class Following:
         belief = None if state.mixture is None else belief_of_mixture(state, state.mixture)
         if job.state is not None and config.motion.kind == "constant_velocity":
             estimate = with_rates(estimate, state, belief, domain)
-        return state, in_full_frame(estimate, job.config.camera), belief
+        return state.to_show(), in_full_frame(estimate, job.config.camera), belief
 
     def ready(self, job: ReadyJob, mesh: Mesh, articulation: Articulation) -> None:
         """Prepare what a session's frames will need: the body, and its templates where their Sun is known already."""

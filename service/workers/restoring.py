@@ -34,26 +34,31 @@ def check_restored(job: RestoreJob) -> RestoreReport:
         if job.state is None:
             return report
         state = decode(FilterState, job.state)
-        check_state(state, job.n_joints)
+        check_state(state, job.n_joints, resampled=job.config.filter.method == "bootstrap")
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"the content does not fit: {error}", field="body") from error
     return replace(report, frame_index=state.frame_index, time_s=state.time_s, status=state.status)
 
 
-def check_state(state: FilterState, n_joints: int) -> None:
-    """Raises ``ValueError`` where the particles are no posterior of a session with so many free joints."""
+def check_state(state: FilterState, n_joints: int, *, resampled: bool = True) -> None:
+    """Raises ``ValueError`` where the particles are no posterior of a session with so many free joints.
+
+    ``resampled``: the next frame goes on from them; else they may be as ``FilterState.to_show`` leaves them.
+    """
     poses, n = state.poses, len(state.log_weights)
+    with_rates = n if resampled or len(state.rates) else 0
+    kinds = (np.float64,) if resampled else (np.float64, np.float32)
     shapes = {
         "quaternion": (poses.quaternion, (n, 4)),
         "position": (poses.position, (n, 2)),
         "log_scale": (poses.log_scale, (n,)),
         "joints": (poses.joints, (n, n_joints)),
         "log_weights": (state.log_weights, (n,)),
-        "rates": (state.rates, (n, 6 + n_joints)),
+        "rates": (state.rates, (with_rates, 6 + n_joints)),
     }
     for name, (array, shape) in shapes.items():
-        if array.shape != shape or array.dtype != np.float64 or n < 1:
-            raise ValueError(f"{name} is {array.dtype} {array.shape}, not float64 {shape}")
+        if array.shape != shape or array.dtype not in kinds or n < 1:
+            raise ValueError(f"{name} is {array.dtype} {array.shape}, not {kinds[-1].__name__} {shape}")
         most = 50.0 if name == "log_scale" else _LARGEST
         if not ((np.abs(array) <= most) | (np.isneginf(array) if name == "log_weights" else False)).all():
             raise ValueError(f"{name} is not finite, or too large")

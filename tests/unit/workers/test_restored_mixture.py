@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from service.inference.state import Clutter, FilterState, Mixture, Poses
+from service.workers.codec import encode
 from service.workers.restoring import check_state
 
 MIXTURE = Mixture(
@@ -38,6 +39,22 @@ def state(mixture: Mixture) -> FilterState:
 
 def test_modes_as_the_filter_keeps_them_are_taken():
     check_state(state(MIXTURE), 1)
+
+
+def test_particles_that_are_only_looked_at_are_kept_small_and_taken():
+    many = FilterState(
+        Poses(*(np.repeat(part, 500, axis=0) for part in vars(state(MIXTURE).poses).values())),
+        np.full(500, -np.log(500)),
+        np.zeros((500, 7)),
+        *(4, 0.4, "tracking", {}, MIXTURE),
+    )
+    shown = many.to_show()
+    assert len(encode(shown)) < 0.4 * len(encode(many))
+    assert np.array_equal(shown.poses.position, many.poses.position) and shown.mixture is MIXTURE
+    check_state(shown, 1, resampled=False)
+    check_state(many, 1, resampled=False)  # of a release before
+    with pytest.raises(ValueError, match="float64"):
+        check_state(shown, 1)  # of the published filter: its next particles are drawn from these
 
 
 @pytest.mark.parametrize(
