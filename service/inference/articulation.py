@@ -6,8 +6,9 @@ a greater ``depth`` are applied first, so a panel turns on its truss before the 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -74,6 +75,36 @@ class Articulation:
         """(J,) values at rest."""
         return np.array([joint.initial for joint in self.joints], dtype=np.float64)
 
+    @property
+    def stages(self) -> list[tuple[int, Stage]]:
+        """The stages of all joints, each with its joint's column."""
+        return [(j, stage) for j, joint in enumerate(self.joints) for stage in joint.stages]
+
+    @cached_property
+    def chains(self) -> tuple[tuple[int | Array, ...], ...]:
+        """(P) of each part what moves it, first to last: the number of a stage, or the (4, 4) motion of held ones."""
+        links: list[tuple[Stage, int | Array]] = [(stage, k) for k, (_, stage) in enumerate(self.stages)]
+        links += [(s, stage_motion(s, np.array([value]))[0]) for joint, value in self.held for s in joint.stages]
+        chains: dict[str, list[int | Array]] = {name: [] for name in self.parts}
+        for stage, link in sorted(links, key=lambda item: -item[0].depth):
+            for name in chains.keys() & set(stage.parts):
+                before = chains[name][-1] if chains[name] else 0
+                if isinstance(link, int) or isinstance(before, int):
+                    chains[name].append(link)
+                else:
+                    chains[name][-1] = link @ before
+        return tuple(tuple(chain) for chain in chains.values())
+
+    @cached_property
+    def still(self) -> Array:
+        """(4, P, 4) motions of the parts of which no joint is free, as what a camera is multiplied with."""
+        held = [chain[0] if len(chain) == 1 else 0 for chain in self.chains]
+        return np.stack([np.eye(4) if isinstance(one, int) else one for one in held], axis=1)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without what can be worked out again: jobs carry it to the workers."""
+        return {name: vars(self)[name] for name in ("parts", "joints", "held")}
+
 
 def hold(
     articulation: Articulation, free: Literal["all"] | Collection[str], fixed: Mapping[str, float]
@@ -107,45 +138,49 @@ def part_transforms(articulation: Articulation, poses: Poses) -> np.ndarray[tupl
 
     The affine camera of the paper: ``scale * (R X) + (x, y, 0)`` with X moved by the joints first.
     """
-    rotation = rotation_matrices(poses.quaternion)  # (N, 3, 3)
-    scale = np.exp(poses.log_scale)
-    camera = np.zeros((len(poses), 3, 4))
-    camera[:, :, :3] = scale[:, None, None] * rotation
+    n, n_parts = len(poses), len(articulation.parts)
+    camera = np.zeros((n, 3, 4))
+    camera[:, :, :3] = np.exp(poses.log_scale)[:, None, None] * rotation_matrices(poses.quaternion)
     camera[:, :2, 3] = poses.position
-    out = np.repeat(camera[:, None], len(articulation.parts), axis=1)
-    for p, motion in enumerate(part_motions(articulation, poses.joints)):
-        if motion is not None:
-            out[:, p, :, :3] = camera[:, :, :3] @ motion[:, :3, :3]
-            out[:, p, :, 3] = (camera[:, :, :3] @ motion[:, :3, 3:])[:, :, 0] + camera[:, :, 3]
-    return np.ascontiguousarray(out, dtype=np.float32)
+    seen = (camera.reshape(3 * n, 4) @ articulation.still.reshape(4, 4 * n_parts)).reshape(n, 3, n_parts, 4)
+    out = np.ascontiguousarray(seen.swapaxes(1, 2), dtype=np.float32)
+    for p, motion in enumerate(part_motions(articulation, poses.joints) if articulation.joints else ()):
+        if motion is not None and any(isinstance(link, int) for link in articulation.chains[p]):
+            out[:, p] = camera @ motion
+    return out
 
 
 def part_motions(articulation: Articulation, values: Array) -> list[Array | None]:
-    """Per part the (N, 4, 4) motion of its joints, or None where nothing moves it."""
-    stages = [(s, values[:, j]) for j, joint in enumerate(articulation.joints) for s in joint.stages]
-    stages += [(s, np.array([value])) for joint, value in articulation.held for s in joint.stages]
-    stages.sort(key=lambda item: -item[0].depth)
-    motions: list[Array | None] = [None] * len(articulation.parts)
-    places = {name: p for p, name in enumerate(articulation.parts)}
-    for stage, stage_values in stages:
-        moved = stage_motion(stage, stage_values)
-        for p in {places[name] for name in stage.parts if name in places}:
-            before = motions[p]
-            motions[p] = moved if before is None else moved @ before
+    """Per part the (N or 1, 4, 4) motion of its joints, or None where nothing moves it."""
+    stages = articulation.stages
+    moved = stage_motions([stage for _, stage in stages], values[:, [column for column, _ in stages]]) if stages else ()
+    motions: list[Array | None] = []
+    for chain in articulation.chains:
+        motion: Array | None = None
+        for link in chain:
+            after = moved[link] if isinstance(link, int) else link[None]
+            motion = after if motion is None else after @ motion
+        motions.append(motion)
     return motions
 
 
 def stage_motion(stage: Stage, values: Array) -> Array:
-    """(N, 4, 4) rigid motions of a stage at joint ``values`` (N,) degrees or model units (Rodrigues' formula)."""
-    axis, values = np.asarray(stage.axis), stage.ratio * values
-    out = np.tile(np.eye(4), (len(values), 1, 1))
-    if stage.kind == "prismatic":
-        out[:, :3, 3] = values[:, None] * axis
-        return out
-    angle = np.deg2rad(values)[:, None, None]
-    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    rotation = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
-    origin = np.asarray(stage.origin)
-    out[:, :3, :3] = rotation
-    out[:, :3, 3] = origin - rotation @ origin
+    """(N, 4, 4) rigid motions of a stage at joint ``values`` (N,) degrees or model units."""
+    return np.asarray(stage_motions([stage], values[:, None])[0], dtype=np.float64)
+
+
+def stage_motions(stages: Sequence[Stage], values: Array) -> Array:
+    """(K, N, 4, 4) of K stages at values (N, K) of their joints (Rodrigues' formula)."""
+    axes, origins = (np.array([getattr(s, name) for s in stages]).reshape(-1, 3) for name in ("axis", "origin"))
+    slides = np.array([stage.kind == "prismatic" for stage in stages], dtype=bool)
+    by = (values * [stage.ratio for stage in stages]).T  # (K, N)
+    x, y, z = axes.T
+    cross = np.zeros((len(stages), 1, 3, 3))
+    cross[:, 0, [0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]] = np.stack([-z, y, z, -x, -y, x], axis=1)
+    angle = np.deg2rad(np.where(slides[:, None], 0.0, by))[..., None, None]
+    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+    out = np.zeros((*by.shape, 4, 4))
+    out[..., :3, :3], out[..., 3, 3] = rotation, 1.0
+    place = origins[:, None] - (rotation @ origins[:, None, :, None])[..., 0]
+    out[..., :3, 3] = np.where(slides[:, None, None], by[..., None] * axes[:, None], place)
     return out

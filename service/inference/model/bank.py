@@ -86,25 +86,25 @@ def looks(image: Images, sigma: float) -> Looks:
     above = np.maximum(above, 0).astype(np.float32)
     some = above > 0
     top = float(np.quantile(above[some], _BRIGHTEST)) if some.any() else 1.0
-    zooms, offsets, pictures, outlines = [], [], [], []
+    zooms, offsets = list[float](), list[Array]()
+    pictures, outlines = list[Images](), list[Images]()
     for share in _LIT_SHARES:
         mask = above > max(share * top, floor)
         if not mask.any():
             continue
         centre, rim = (m[0] for m in T.lit_moments(mask[None].astype(np.float32)))
         for zoom in float(rim) / T._RIM_PX * np.array(_SCALES):
-            for dx in _SHIFTS_PX:
-                for dy in _SHIFTS_PX:
-                    offset = centre + np.array([dx, dy]) * zoom - zoom * T.SIDE / 2
-                    across, down = (_sampling(len(image), zoom, offset[k]) for k in (0, 1))
-                    pictures.append(down @ above @ across.T)
-                    outlines.append(down @ some.astype(np.float32) @ across.T)
-                    zooms.append(zoom)
-                    offsets.append(offset)
+            tried = centre + zoom * np.array(_SHIFTS_PX)[:, None] - zoom * T.SIDE / 2  # (shifts, 2)
+            across, down = (np.stack([_sampling(len(image), zoom, at) for at in tried[:, k]]) for k in (0, 1))
+            for light, to in ((above, pictures), (some.astype(np.float32), outlines)):
+                to.append(np.matmul((down @ light)[None], np.swapaxes(across, 1, 2)[:, None]))  # (across, down, S, S)
+            x, y = np.meshgrid(tried[:, 0], tried[:, 1], indexing="ij")
+            offsets.append(np.column_stack([x.ravel(), y.ravel()]))
+            zooms += [zoom] * x.size
     if not pictures:  # no light: nothing to go by
         return Looks(np.zeros((len(T.KINDS), 0, T.SIDE**2), np.float32), np.empty(0), np.empty((0, 2)))
-    kinds = T.kinds_of(np.stack(pictures), np.stack(outlines))
-    return Looks(kinds, np.array(zooms), np.array(offsets))
+    whole, outline = (np.concatenate(part).reshape(-1, T.SIDE, T.SIDE) for part in (pictures, outlines))
+    return Looks(T.kinds_of(whole, outline), np.array(zooms), np.concatenate(offsets))
 
 
 def _is_dark(smooth: Images, sigma: float) -> bool:

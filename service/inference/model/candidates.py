@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,15 +78,21 @@ def best_of(some: Candidates, kept: int, articulation: Articulation | None = Non
 
 def distinct(poses: Poses, apart: float, articulation: Articulation | None = None) -> NDArray[np.intp]:
     """Indices of those that are no nearer than ``apart`` (rad) to one before them, or have joints of their own."""
-    kept = np.empty(len(poses), dtype=np.intp)
-    held, count = np.empty((len(poses), 4)), 0
     near = np.cos(0.5 * apart)  # of the angle between two quaternions that far apart
-    for k, quaternion in enumerate(poses.quaternion):
-        alike = kept[:count][np.abs(held[:count] @ quaternion) >= near]
-        if not len(alike) or (articulation is not None and _moved_apart(poses, k, alike, articulation)):
-            kept[count], held[count] = k, quaternion
-            count += 1
-    return kept[:count]
+    alike = np.triu(np.abs(poses.quaternion @ poses.quaternion.T) >= near, 1)
+    some, others = np.divmod(np.flatnonzero(alike), max(len(poses), 1))
+    share = np.full(len(some), _TURNED_ALIKE)  # of what drives one out: all, where the joints are alike too
+    if articulation is not None and articulation.n_joints:
+        off = np.abs(short_way(poses.joints[others] - poses.joints[some], articulation.wrapping))
+        share[np.any(off >= _JOINT_APART * articulation.spans, axis=1)] = 1
+    starts = np.searchsorted(some, np.arange(len(poses) + 1)).tolist()
+    kept, met = [], np.zeros(len(poses), dtype=np.intp)
+    for k, (start, end) in enumerate(pairwise(starts)):
+        if met[k] < _TURNED_ALIKE:
+            kept.append(k)
+            if start < end:
+                met[others[start:end]] += share[start:end]
+    return np.array(kept, dtype=np.intp)
 
 
 def turned_alike(one: Poses, others: Poses, articulation: Articulation) -> NDArray[np.bool_]:
@@ -93,14 +100,6 @@ def turned_alike(one: Poses, others: Poses, articulation: Articulation) -> NDArr
     apart = np.abs(tangent(one, others, articulation.wrapping))
     near = np.linalg.norm(apart[:, :3], axis=1) < np.deg2rad(SHARED_DEG)
     return np.asarray(near & np.all(apart[:, 6:] < _JOINT_APART * articulation.spans, axis=1))
-
-
-def _moved_apart(poses: Poses, one: int, others: NDArray[np.intp], articulation: Articulation) -> bool:
-    """Whether a pose differs by a joint from each of the few others that are turned as it is."""
-    if len(others) >= _TURNED_ALIKE:
-        return False
-    off = np.abs(short_way(poses.joints[others] - poses.joints[one], articulation.wrapping))
-    return bool(np.all(np.any(off >= _JOINT_APART * articulation.spans, axis=1)))
 
 
 def log_prior(poses: Poses, suns: Array, told: PosePrior) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,11 +74,12 @@ def _system(
     inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))
     d = len(slopes)
     slope = pull - cross.T @ inner[:, d]
-    free = fit.normal.copy()
+    taken = stated = cross.T @ inner[:, :d]  # by what the light could do instead
     if known is not None:
+        free = fit.normal.copy()
         free[range(len(fit.lit)), range(len(fit.lit))] -= known[fit.lit]
-    doubted = (normal - cross.T @ np.linalg.solve(free, cross)) / scale_seen(fit.chi2)
-    return normal + prior - cross.T @ inner[:, :d], slope, doubted + prior
+        stated = cross.T @ np.linalg.solve(free, cross)
+    return normal + prior - taken, slope, (normal - stated) / scale_seen(fit.chi2) + prior
 
 
 def _weighted(fit: Fit, slopes: Images) -> tuple[Images, Images]:
@@ -112,10 +114,15 @@ def scale_seen(chi2: float) -> float:
     return (known + seen * chi2) / (known + seen)
 
 
+@lru_cache(maxsize=64)
+def _weak(d: int) -> Array:
+    """(d,) precisions far wider than any image allows: they keep the matrix regular."""
+    return np.concatenate([np.full(3, 1.0), np.full(2, 1e-4), [1.0], np.full(d - 6, 1e-4)])
+
+
 def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) -> None:
     told, d = hill.told, 6 + pose.joints.shape[1]
-    weak = np.concatenate([np.full(3, 1.0), np.full(2, 1e-4), [1.0], np.full(d - 6, 1e-4)])
-    normal[range(d), range(d)] += weak  # far wider than any image allows: it keeps the matrix regular
+    normal[range(d), range(d)] += _weak(d)
     if told.log_scale is not None:
         normal[5, 5] += told.log_scale_sigma**-2
         pull[5] += (told.log_scale - float(pose.log_scale[0])) / told.log_scale_sigma**2
