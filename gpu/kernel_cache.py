@@ -25,8 +25,10 @@ _SCRAPS = "tempfile_*"  # PoCL's own, of files that it moves into place
 class KernelCache:
     """The kernels under one folder, for the life of a process. Nothing in it is ever needed: all can be built again."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, installed: Path | None = None) -> None:
+        """``installed``: another such folder, that is only read: what was built when the program was installed."""
         self._folder = folder
+        self._sources = [one / _KEPT for one in (installed, folder) if one is not None]
         self._own: Path | None = None
         self._lock: IO[bytes] | None = None
 
@@ -74,8 +76,9 @@ class KernelCache:
         new = Path(tempfile.mkdtemp(prefix=_UNDER_WAY, dir=self._folder))
         lock = (new / _LOCK).open("wb")
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        with contextlib.suppress(OSError):  # none yet, or replaced at this moment
-            self._copy(self._folder / _KEPT, new)
+        for source in self._sources:
+            with contextlib.suppress(OSError):  # none yet, or replaced at this moment
+                self._copy(source, new)
         own = self._folder / new.name.replace(_UNDER_WAY, _OWN)
         new.rename(own)
         return own, lock

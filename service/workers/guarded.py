@@ -10,7 +10,7 @@ from service.workers.kernel import hide
 from service.workers.limits import DecodeLimits
 from service.workers.shared_scorer import open_shared
 from service.workers.tracker import Tracker
-from service.workers.warm_up import build_kernels
+from service.workers.warm_up import INSTALLED, build_kernels
 
 
 def guarded(limits: DecodeLimits, kernels: Path | None = None, device: str | None = None) -> Tracker:
@@ -22,7 +22,7 @@ def guarded(limits: DecodeLimits, kernels: Path | None = None, device: str | Non
     if limits.sandbox != "off":
         hide()  # from the decoder, too
     decoder = DecodeProcess(limits)
-    cache = None if kernels is None else KernelCache(kernels)
+    cache = None if kernels is None else KernelCache(kernels, INSTALLED)
     if cache is not None:
         cache.open()
     build_kernels()

@@ -1,32 +1,73 @@
-"""What a new worker does before its first job, so that the job need not wait for it."""
+"""What a new worker does before its first job, so that the job need not wait for it.
+
+``python -m service.workers.warm_up`` does it once for all services of this installation (``deploy/setup``).
+"""
 
 from __future__ import annotations
 
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 
 from gpu.errors import ScorerError
+from gpu.kernel_cache import KernelCache
 from gpu.mesh import assemble
 from gpu.raw_part import RawPart
 from gpu.scorer import open_scorer
 from service.inference.articulation import Articulation
+from service.inference.model.drawing import EVEN_PLANES, Drawing, Quality, View
+from service.inference.model.scene import Scene
+from service.inference.model.spread import PointSpread
+from service.inference.model.terms import terms_of
+from service.inference.state import Poses
 from service.workers.lit_body import LitBody
 
+INSTALLED = Path(sys.prefix) / "share" / "skypose" / "kernels"
+"""Kernels that were built when this program was installed. Another processor or driver builds its own."""
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 _FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+_SIDE = 16
 
 
 def build_kernels() -> None:
-    """Find the devices, and build or load what frames run on the first one, by opening a tetrahedron."""
+    """Find the devices, and build or load what frames run on the first one, by drawing a tetrahedron.
+
+    Every kernel is launched: a driver may leave half of its work until then.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a machine without a device is told so by the first session
         try:
             mesh = assemble([RawPart("tetrahedron", _CORNERS, _FACES)])
-            LitBody(mesh, Articulation(("tetrahedron",))).close()
+            body = LitBody(mesh, Articulation(("tetrahedron",)))
+            _draw(body.body.fine)
+            body.close()
             scorer = open_scorer(mesh)
             pose = np.array([[[[4, 0, 0, 8], [0, 4, 0, 8], [0, 0, 4, 0]]]], np.float32)
-            scorer.score(pose, np.ones((16, 16), np.float32))
+            scorer.score(pose, np.ones((_SIDE, _SIDE), np.float32))
             scorer.close()
         except ScorerError:  # the first frame meets it too, and says so to its client
             return
+
+
+def _draw(drawing: Drawing) -> None:
+    """One picture, and its evidence."""
+    pose = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.full((1, 2), 0.5 * _SIDE), np.log([4.0]), np.zeros((1, 0)))
+    look = pose, np.array([[0.0, 0.0, -1.0]])
+    view, quality = View((0.0, 0.0), 1.0, _SIDE), Quality(1, _SIDE)
+    planes = drawing.planes(*look, view, quality)
+    drawing.combined(*look, np.ones(planes.shape[:2], np.float32), view, quality)
+    empty = np.zeros((_SIDE, _SIDE), np.float32)
+    scene = Scene(empty, 1.0, 1.0, 1.0, empty > 0, PointSpread(1.0))
+    groups = drawing.n_groups
+    terms = terms_of(scene, groups, groups * (1 + len(quality.gloss)) + EVEN_PLANES)
+    drawing.light.details(planes, groups, terms, 1)
+
+
+if __name__ == "__main__":
+    kernels = KernelCache(INSTALLED)
+    kernels.open()
+    build_kernels()
+    kernels.keep()
+    kernels.close()

@@ -55,6 +55,7 @@ class HttpTarget:
             "name": "bench load",
             "joints": {"free": list(self._scene.joints)},
             "filter": {"particles": particles, "seed": seed},
+            "light": {"sun": self._scene.towards_sun or "auto"},
         }
         session = str(_good(await self._http.post("/v1/sessions", json=body)).json()["session_id"])
         self._sessions.append(session)

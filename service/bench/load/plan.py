@@ -18,7 +18,7 @@ class LoadPlan:
     bound_ms: float = 500.0  # the 99th percentile must stay below it
     seconds: float = 10.0  # of each measurement
     most_sessions: int = 256
-    warm_frames: int = 4  # of each session, before it counts: its first frames search the whole space
+    warm_frames: int = 14  # of each session, before it counts: three or four of them search the whole space
 
     def __post_init__(self) -> None:
         if min(self.particles, default=0) < 1 or min(self.rates_hz, default=0.0) <= 0:

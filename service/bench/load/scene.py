@@ -20,6 +20,8 @@ class Scene:
     joints: tuple[str, ...]
     backgrounds: tuple[bytes, ...]
     frames: tuple[bytes, ...]
+    towards_sun: tuple[float, float, float] | None = None
+    """In camera axes, as a telescope knows it that knows its site and the time; None: sessions are not told."""
 
     def frame(self, index: int) -> bytes:
         """The file of frame ``index``."""
@@ -38,4 +40,5 @@ def simulated_scene(
     names = tuple(joint.name for joint in articulation.joints)
     backgrounds = tuple(encode_png(image) for image in simulated.backgrounds())
     files = tuple(encode_png(image) for image in simulated.frames())
-    return Scene(file_name, data, names, backgrounds, files)
+    x, y, z = (float(value) for value in simulated.light(0).direction())
+    return Scene(file_name, data, names, backgrounds, files, (x, y, z))

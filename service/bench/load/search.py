@@ -11,7 +11,7 @@ from service.bench.load.cost import Meter, cost_per_frame
 from service.bench.load.plan import LoadPlan, LoadRow
 
 Hear = Callable[[LoadRow], None]
-_APART = 10  # frames: a track is searched anew in some of them, and not all at once
+_APART = 27  # frames from one search of a settled track to the next: not all at once
 _FINE = 8  # the capacity is known to one part in so many
 
 

@@ -49,6 +49,20 @@ def test_next_process_finds_what_was_kept(caches):
     assert built(caches()) == {"a.so", "b.so"}
 
 
+def test_what_was_built_at_installation_is_there_for_the_first_process_of_a_service(caches, tmp_path, monkeypatch):
+    installing = caches()
+    build(installing, "a.so")
+    installing.keep()
+    monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
+    own = KernelCache(tmp_path / "data" / "kernels", tmp_path / "kernels")
+    own.open()
+    assert built(own) == {"a.so"}
+    build(own, "b.so")
+    own.keep()
+    own.close()
+    assert built(caches()) == {"a.so"}  # nobody but its owner writes to it
+
+
 def test_folders_of_the_dead_are_removed_and_those_of_the_living_are_not(caches, tmp_path):
     dead, alive = caches(), caches()
     dead._lock.close()  # as the kernel does when a process is killed
