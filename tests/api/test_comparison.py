@@ -180,9 +180,9 @@ async def test_the_right_one_of_two_satellites_is_found(make_app, real):
     tracker.close()
     motion = Motion(frames=4, joint_start_deg=20.0)
     simulated = SimulatedPass(load_mesh(files[real], "glb"), articulation, Scenario("", size=(96, 96), motion=motion))
-    few = {"particles": 300}
+    given = {"filter": {"particles": 300}, "light": {"sun": simulated.light(0).direction().tolist()}}
     async with running(make_app(Tracker)) as api:
-        session_id, models = await comparison(api, files=files, joints={"free": "all"}, filter=few)
+        session_id, models = await comparison(api, files=files, joints={"free": "all"}, **given)
         here = f"/v1/sessions/{session_id}"
         for frame in simulated.backgrounds():
             await api.http.post(f"{here}/background", content=encode_png(frame), headers=PNG)

@@ -65,7 +65,7 @@ async def test_pages_come_out_of_one_way_back(make_app):
 
 async def simulated_session(api) -> str:
     model = (await api.model(demo_satellite(), "demo.glb")).json()
-    request = {"model_id": model["model_id"], "filter": {"particles": 200}}
+    request = {"model_id": model["model_id"], "filter": {"particles": 200}, "light": {"sun": [0.0, 0.0, -1.0]}}
     session_id = (await api.http.post("/v1/sessions", json=request)).json()["session_id"]
     tracker = Tracker()
     simulated = SimulatedPass(*tracker_model(tracker), Scenario("", size=(96, 96), motion=Motion(frames=6, joints=())))

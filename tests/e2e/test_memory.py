@@ -18,7 +18,7 @@ def test_every_kind_of_process_is_looked_at_and_stays_within(tmp_path):
     try:
         with httpx.Client(base_url=server.url, timeout=120) as http:
             given = box_pass(2)
-            session = begin(http, given, filter={"particles": 50})
+            session = begin(http, given, filter={"particles": 50}, light={"sun": [0.0, 0.0, -1.0]})
             for frame in given.frames:
                 http.post(f"/v1/sessions/{session}/frames", content=frame, headers=PNG).raise_for_status()
         peaks = peaks_mb(server.pid)

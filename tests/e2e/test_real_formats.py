@@ -23,7 +23,7 @@ from service.client import Client
 
 SIZE = 48
 GIVEN = box_pass(2, SIZE)
-SMALL = {"particles": 100, "seed": 5}
+SMALL = {"filter": {"particles": 100, "seed": 5}, "light": {"sun": [0.0, 0.0, -1.0]}}
 TIME = "2026-11-20T03:04:05.500"
 
 
@@ -105,7 +105,7 @@ def model_id(client) -> str:
 
 
 def tracked(client: Client, model_id: str, media: str, write, is_deep: bool) -> dict:
-    session = client.create_session(model_id, filter=SMALL).session_id
+    session = client.create_session(model_id, **SMALL).session_id
     form = deep if is_deep else (lambda image: image)
     client.add_background(session, write(form(SKY)), media)
     return client.post_frame(session, write(form(FRAMES[0])), media).model_dump(mode="json")
@@ -133,7 +133,7 @@ def test_lossy_files_are_tracked_like_the_lossless(client, model_id, references,
     for image in FRAMES:
         writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     writer.release()
-    session = client.create_session(model_id, filter=SMALL, likelihood={"feature": "intensity"}).session_id
+    session = client.create_session(model_id, **SMALL, likelihood={"feature": "intensity"}).session_id
     client.add_background(
         session, cv2.imencode(".png", cv2.cvtColor(SKY, cv2.COLOR_GRAY2BGR))[1].tobytes(), "image/png"
     )
@@ -166,7 +166,7 @@ def history(client, model_id) -> str:
     wcs = WCS(naxis=2)
     wcs.wcs.ctype, wcs.wcs.crval = ["RA---TAN", "DEC--TAN"], [210.0, -25.0]
     wcs.wcs.crpix, wcs.wcs.cdelt = [SIZE / 2 + 0.5] * 2, [-0.001, 0.001]
-    session = client.create_session(model_id, filter=SMALL, name="BOX").session_id
+    session = client.create_session(model_id, **SMALL, name="BOX").session_id
     client.add_background(session, fits_file()(SKY), "image/fits")
     for k, image in enumerate(FRAMES):
         hdu = fits.PrimaryHDU(image[::-1], wcs.to_header())

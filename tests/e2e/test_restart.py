@@ -62,7 +62,7 @@ def test_kills_lose_nothing_and_repeat_nothing(server):
 
     The long form: SKYPOSE_TEST_KILL_FRAMES=2000 (about two kills in three frames).
     """
-    given = fake_pass(int(os.environ.get("SKYPOSE_TEST_KILL_FRAMES", "12")))
+    given = fake_pass(int(os.environ.get("SKYPOSE_TEST_KILL_FRAMES", "8")))
     expected = track(server("calm", worker="fake_worker:FakeWorker"), given, name="body.glb")
     target = server("killed", worker="fake_worker:SlowWorker")
     dice = random.Random(1)
@@ -97,7 +97,7 @@ def kill(target: Server, victims: tuple[str, ...], delay_s: float) -> None:
 def test_tracker_restarted_in_the_middle_of_a_pass_gives_the_same_answers(server):
     """Restart equals no restart, bit for bit, with the real tracker."""
     given = box_pass(4)
-    small = {"filter": {"particles": 200, "seed": 3}}
+    small = {"filter": {"particles": 200, "seed": 3}, "light": {"sun": [0.0, 0.0, -1.0]}}  # a search half as long
     target = server("real")
     expected = track(target, given, **small)
     with httpx.Client(base_url=target.url, timeout=120) as http:
