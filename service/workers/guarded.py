@@ -23,9 +23,9 @@ def guarded(limits: DecodeLimits, kernels: Path | None = None, device: str | Non
         hide()  # from the decoder, too
     decoder = DecodeProcess(limits)
     cache = None if kernels is None else KernelCache(kernels, INSTALLED)
-    if cache is not None:
+    if cache is None:
+        build_kernels()
+    else:
         cache.open()
-    build_kernels()
-    if cache is not None:
-        cache.keep()
+        build_kernels(cache.keep)
     return Tracker(decoder, kernels=cache, opener=None if device is None else open_shared(device))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -31,22 +32,26 @@ _FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 _SIDE = 16
 
 
-def build_kernels() -> None:
+def build_kernels(built: Callable[[], None] = lambda: None) -> None:
     """Find the devices, and build or load what frames run on the first one, by drawing a tetrahedron.
 
-    Every kernel is launched: a driver may leave half of its work until then.
+    Every kernel is launched: a driver may leave half of its work until then. ``built`` is called after some of them, so
+    that a worker that is ended over it has not built them in vain.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a machine without a device is told so by the first session
         try:
             mesh = assemble([RawPart("tetrahedron", _CORNERS, _FACES)])
             body = LitBody(mesh, Articulation(("tetrahedron",)))
+            built()
             _draw(body.body.fine)
             body.close()
+            built()
             scorer = open_scorer(mesh)
             pose = np.array([[[[4, 0, 0, 8], [0, 4, 0, 8], [0, 0, 4, 0]]]], np.float32)
             scorer.score(pose, np.ones((_SIDE, _SIDE), np.float32))
             scorer.close()
+            built()
         except ScorerError:  # the first frame meets it too, and says so to its client
             return
 
@@ -68,6 +73,5 @@ def _draw(drawing: Drawing) -> None:
 if __name__ == "__main__":
     kernels = KernelCache(INSTALLED)
     kernels.open()
-    build_kernels()
-    kernels.keep()
+    build_kernels(kernels.keep)
     kernels.close()

@@ -151,7 +151,7 @@ def test_a_worker_hides_its_memory(monkeypatch, sandbox, dumpable):
     """Its own: what it would do is noted, or this process could not be looked into any more."""
     hidden = []
     monkeypatch.setattr(guarded, "hide", lambda: hidden.append(True))
-    monkeypatch.setattr(guarded, "build_kernels", lambda: None)
+    monkeypatch.setattr(guarded, "build_kernels", lambda *_: None)
     guarded.guarded(DecodeLimits(sandbox=sandbox)).close()
     assert hidden == [] if dumpable else [True]
 
