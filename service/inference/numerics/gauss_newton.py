@@ -77,8 +77,9 @@ class _Climb:
         if not len(at):
             return
         systems = self._systems(at)
-        promised = np.array([0.5 * p @ np.linalg.solve(c, p) for c, p, _ in systems])
-        moves = self._moves(systems, at)
+        curvature, pull = np.stack([c for c, _, _ in systems]), np.stack([p for _, p, _ in systems])
+        promised = 0.5 * np.sum(pull * _solved(curvature, pull), axis=1)
+        moves = self._moves(curvature, pull, at)
         sure = promised <= np.maximum(self._enough[at], _UNSEEN)
         if sure.any():
             self._go(at[sure], *_moved(self._poses[at[sure]], self._suns[at[sure]], moves[sure], self._hill))
@@ -95,10 +96,10 @@ class _Climb:
         gained = self._scores[at] - before
         self._going[at] = np.minimum(gained, np.abs(promised - gained)) > self._enough[at]
 
-    def _moves(self, systems: list[tuple[Array, Array, Array]], at: NDArray[np.intp]) -> Array:
+    def _moves(self, curvature: Array, pull: Array, at: NDArray[np.intp]) -> Array:
         """(N, D) steps, held within ``trust``."""
         damping = _damping(self._hill, self._poses[at])
-        return np.array([np.linalg.solve(c + np.diag(d), p) for (c, p, _), d in zip(systems, damping, strict=True)])
+        return _solved(curvature + damping[:, None] * np.eye(damping.shape[1]), pull)
 
     def leave(self, behind: float) -> None:
         """Those that are so many nats behind the best."""
@@ -153,6 +154,11 @@ class _Climb:
         for k, (curvature, _, stated) in zip(at, systems, strict=True):
             self._curvatures[k], self._believed_curvatures[k] = stated, curvature
         return systems
+
+
+def _solved(curvature: Array, pull: Array) -> Array:
+    """(N, D) solutions of N systems."""
+    return np.asarray(np.linalg.solve(curvature, pull[..., None])[..., 0], dtype=np.float64)
 
 
 def _rim_shift(hill: Hill, poses: Poses, moves: Array) -> Array:
