@@ -109,14 +109,15 @@ class FilterState:
     clutter: Clutter | None = None  # of a body before clutter
 
     def to_show(self) -> FilterState:
-        """Where modes are carried on, particles are looked at alone: 32-bit floats, and no rates; a third of the bytes.
+        """Where modes are carried on, particles are looked at alone: 32-bit floats, and no rates.
 
-        Rounded, a quaternion is off by 1e-7 rad, a place at 4,000 px by 2e-4 px.
+        Rounded, a quaternion is off by 1e-7 rad, a place at 4,000 px by 2e-4 px. Scale and joints stay as they are:
+        they have bounds that rounding must not pass.
         """
-        poses, few = self.poses, self.rates[:0]
-        parts = (poses.quaternion, poses.position, poses.log_scale, poses.joints, self.log_weights)
-        *rounded, log_weights = (cast(Array, np.asarray(part, np.float32)) for part in parts)
-        return replace(self, poses=Poses(*rounded), log_weights=log_weights, rates=few)
+        parts = self.poses.quaternion, self.poses.position, self.log_weights
+        quaternion, position, log_weights = (cast(Array, np.asarray(part, np.float32)) for part in parts)
+        poses = replace(self.poses, quaternion=quaternion, position=position)
+        return replace(self, poses=poses, log_weights=log_weights, rates=self.rates[:0])
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ def test_a_known_scale_is_kept_to():
     for report in reports:
         assert 26.0 <= report.estimate.best.scale <= 27.0
         scales = BINNING * np.exp(report.state.poses.log_scale[report.state.log_weights > -100])
-        assert scales.min() >= 26.0 - 1e-5 and scales.max() <= 27.0 + 1e-5  # kept as 32-bit floats
+        assert scales.min() >= 26.0 - 1e-9 and scales.max() <= 27.0 + 1e-9
 
 
 def test_frames_of_another_size_are_refused_although_the_region_lies_in_them():
