@@ -1,24 +1,23 @@
-"""Runs ``kernels/shaded.cl``: sunlit pictures of a body with cast shadows, many poses in one launch."""
+"""Sunlit pictures of a body with cast shadows, many poses in one launch: ``kernels/shaded.cl``, ``shaded_gpu.cl``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.device import DeviceReport, first_device, open_device
-from gpu.lens import NEAREST, NO_LENS, Lens, magnified
+from gpu.lens import NO_LENS, Lens
 from gpu.mesh import Mesh
-from gpu.program import KernelArgument, Scratch, build, constant, device_errors, work_items, zero
-from gpu.shaded_faces import LANES, FaceTable, Indices, face_table
-from gpu.shaded_reference import BIAS_TEXELS, EVEN_PLANES, STEEPEST
+from gpu.program import constant, device_errors
+from gpu.shaded_faces import FaceTable, Indices, face_table
+from gpu.shaded_forms import FacesOnDevice, Sizes, form_on
+from gpu.shaded_reference import EVEN_PLANES
 from gpu.shaded_views import SIDE, views_of_part
 
 Numbers = NDArray[np.float32]
 EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
-FILES = ("lanes.cl", "shaded_faces.cl", "shaded_light.cl", "shaded.cl")
 
 
 class ShadedBody:
@@ -32,23 +31,20 @@ class ShadedBody:
     A pose with a number that is not finite gives zeros.
     """
 
-    def __init__(self, mesh: Mesh, groups: NDArray[np.integer], report: DeviceReport, drop_hidden: bool = True) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        groups: NDArray[np.integer],
+        report: DeviceReport,
+        drop_hidden: bool = True,
+        together: bool | None = None,
+    ) -> None:
         self.name = f"opencl:shaded:{report.name}"
         self.n_groups = int(groups.max(initial=0)) + 1
-        self._n_parts, self._radius = len(mesh.parts), np.float32(mesh.radius)
+        self._n_parts = len(mesh.parts)
+        self._radius = np.float32(mesh.radius)
         with device_errors(self.name):
-            self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
-            self._context = self._queue.context
-            self._memory = Scratch(self._context)
-            options = [
-                f"-DBIAS={BIAS_TEXELS}f",
-                f"-DSTEEPEST={STEEPEST}f",
-                f"-DNEAREST={NEAREST}f",
-                f"-DEVEN_PLANES={EVEN_PLANES}",
-            ]
-            program = build(self._context, *FILES, options=options)
-            kernels = (cl.Kernel(program, name) for name in ("planes", "combined", "mark_seen"))
-            self._planes, self._combined, self._mark_seen = kernels
+            self._form = form_on(open_device(report), together)
         self._take(face_table(mesh, groups))
         if drop_hidden:
             self._take(face_table(mesh, groups, self._seen(mesh)))
@@ -57,17 +53,16 @@ class ShadedBody:
         """Bring the faces to the device."""
         self._table = table
         with device_errors(self.name):
-            self._faces = [constant(self._context, array) for array in (table.corners, table.groups, table.shut)]
+            self._faces = [constant(self._form.context, array) for array in (table.corners, table.groups, table.shut)]
             self._show(table.starts, table.boxes)
 
     def _show(self, starts: Indices, boxes: Numbers) -> None:
         """Draw these parts of the faces on the device."""
         corners, groups, shut = self._faces
-        self._body: tuple[KernelArgument, ...] = (
-            *(corners, constant(self._context, starts), groups, shut, constant(self._context, boxes)),
-            *(np.int32(v) for v in (len(boxes), self._table.n_padded, self._table.bits)),
-            self._radius,
-        )
+        own = constant(self._form.context, starts), constant(self._form.context, boxes)
+        numbers = (np.int32(v) for v in (len(boxes), self._table.n_padded, self._table.bits))
+        buffers = (corners, own[0], groups, shut, own[1])
+        self._shown = FacesOnDevice((*buffers, *numbers, self._radius), self._table.n_padded)
 
     def _seen(self, mesh: Mesh) -> NDArray[np.bool_]:
         """(F,) whether a face is seen from anywhere outside its part, when the part is alone."""
@@ -75,7 +70,7 @@ class ShadedBody:
         for number, part in enumerate(mesh.parts):
             with device_errors(self.name):
                 self._show(table.starts[number : number + 2], table.boxes[number : number + 1])
-            self._launch(self._mark_seen, (views_of_part(part),), marks, (SIDE, 1, 0), None, ())
+                self._form.mark_seen(self._shown, views_of_part(part), Sizes(SIDE, 1, 0, self.n_groups), marks)
         seen = np.zeros(mesh.n_faces, dtype=bool)
         seen[self._table.origin[marks > 0]] = True
         return seen
@@ -99,7 +94,7 @@ class ShadedBody:
         """
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), self.n_groups * (1 + len(gloss)) + EVEN_PLANES, side, side), np.float32)
-        self._launch(self._planes, given, out, (side, supersample, shadow_px), gloss, (), lens)
+        self._draw(given, Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens), None, out)
         return out
 
     def combined(
@@ -117,7 +112,7 @@ class ShadedBody:
         """(N, side, side) sums of the planes times ``coefficients``, (G + 4 + L G,) or (N, G + 4 + L G)."""
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), 1, side, side), np.float32)
-        self._sum(given, coefficients, out, (side, supersample, shadow_px), gloss, lens)
+        self._sum(given, coefficients, out, Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens))
         return out[:, 0]
 
     def pictures(
@@ -134,13 +129,22 @@ class ShadedBody:
         given = self._given(part_transforms, towards_sun)
         out = np.zeros((len(given[0]), 2, side, side), np.float32)
         alike = np.concatenate([np.ones(self.n_groups), [EVEN_LIGHT, 0.0, 0.0, 0.0]])
-        self._sum(given, alike, out, (side, supersample, shadow_px), (), lens)
+        self._sum(given, alike, out, Sizes(side, supersample, shadow_px, self.n_groups, (), lens))
         return out
 
     def close(self) -> None:
         """Wait for the device and give its memory back."""
-        self._queue.finish()
-        self._memory.close()
+        self._form.close()
+
+    @property
+    def drawn_faces(self) -> Indices:
+        """Numbers of the mesh's faces that are not left out."""
+        return self._table.origin[self._table.origin >= 0].astype(np.int32)
+
+    @property
+    def kernel_seconds(self) -> float:
+        """Of the last pictures, as the device says; 0: it was not asked."""
+        return self._form.kernel_seconds
 
     def _given(
         self, part_transforms: NDArray[np.floating], towards_sun: NDArray[np.floating]
@@ -159,64 +163,21 @@ class ShadedBody:
         return moved, suns.astype(np.float32)
 
     def _sum(
-        self,
-        given: tuple[Numbers, Numbers],
-        coefficients: NDArray[np.floating],
-        out: Numbers,
-        sizes: tuple[int, int, int],
-        gloss: tuple[float, ...],
-        lens: Lens,
+        self, given: tuple[Numbers, Numbers], coefficients: NDArray[np.floating], out: Numbers, sizes: Sizes
     ) -> None:
-        count, n = self.n_groups * (1 + len(gloss)) + EVEN_PLANES, len(out)
+        count, n = self.n_groups * (1 + len(sizes.gloss)) + EVEN_PLANES, len(out)
         if coefficients.shape not in ((count,), (n, count)):
             raise ValueError(f"coefficients are {coefficients.shape}, not ({count},) or ({n}, {count})")
-        with device_errors(self.name):
-            share = constant(self._context, np.ascontiguousarray(coefficients, np.float32))
-        every = count if coefficients.ndim == 2 else 0
-        self._launch(self._combined, given, out, sizes, gloss, (share, np.int32(every), np.int32(out.shape[1])), lens)
+        self._draw(given, sizes, np.ascontiguousarray(coefficients, np.float32), out)
 
-    def _launch(
-        self,
-        kernel: cl.Kernel,
-        given: tuple[Numbers, ...],
-        out: NDArray[np.generic],
-        sizes: tuple[int, int, int],
-        gloss: tuple[float, ...] | None,
-        more: tuple[KernelArgument, ...],
-        lens: Lens = NO_LENS,
-    ) -> None:
-        side, supersample, shadow_px = sizes
-        if min(side, supersample) < 1 or shadow_px < 0:
-            raise ValueError(f"{side} px, {supersample} samples and {shadow_px} texels cannot be drawn")
-        n = len(given[0])
-        if n == 0:
-            return
-        stride = _lanes(side * supersample)
-        shadow_side = shadow_px + 4 if shadow_px else 0
-        shadow_stride = _lanes(shadow_side)
-        numbers = (side, supersample, stride, shadow_px, shadow_side, shadow_stride, self.n_groups, len(gloss or ()))
-        each = (
-            side * supersample * stride
-            + shadow_side * shadow_stride
-            + (6 + len(gloss or ())) * self._table.n_padded
-            + (1 + EVEN_PLANES) * stride
-        )
-        each = -(-(each + 2 * LANES) // 32) * 32
-        with device_errors(self.name):
-            items = work_items(self._queue.device, n, 4 * each)
-            flags = cl.mem_flags
-            inputs = (cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in given)
-            result = cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=out)
-            exponents = () if gloss is None else (constant(self._context, np.asarray(gloss, np.float32)),)
-            counter = zero(self._context)
-            scratch = self._memory.of(4 * each * items)
-            focal, *middle = magnified(lens, supersample)
-            seen = (np.float32(v) for v in (1 / focal, *(v - 0.5 for v in middle)))
-            head = (*inputs, np.int32(n), *self._body, *(np.int32(v) for v in numbers), *seen, *exponents)
-            kernel(self._queue, (items,), (1,), *head, result, scratch, np.int32(each), counter, *more)
-            mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
-            mapped.base.release(self._queue)
-            self._queue.finish()
+    def _draw(self, given: tuple[Numbers, Numbers], sizes: Sizes, share: Numbers | None, out: Numbers) -> None:
+        if min(sizes.side, sizes.supersample) < 1 or sizes.shadow_px < 0:
+            raise ValueError(
+                f"{sizes.side} px, {sizes.supersample} samples and {sizes.shadow_px} texels cannot be drawn"
+            )
+        if len(out):
+            with device_errors(self.name):
+                self._form.draw(self._shown, given, sizes, share, out)
 
 
 def open_shaded(
@@ -226,16 +187,14 @@ def open_shaded(
     reports: Sequence[DeviceReport] | None = None,
     kind: str = "cpu",
     drop_hidden: bool = True,
+    together: bool | None = None,
 ) -> ShadedBody:
     """On the first usable device of this kind. ``groups`` (F,): see ``gpu.surface_groups``.
 
     With ``drop_hidden``, faces that cannot be seen from outside their part are left out, once for all.
+    ``together``: a work-group draws a pose, not a work-item; None: unless the device is a CPU.
     Raises ``DeviceError`` where OpenCL has none.
     """
     if len(groups) != mesh.n_faces:
         raise ValueError(f"{len(groups)} groups are given for {mesh.n_faces} faces")
-    return ShadedBody(mesh, groups, first_device(kind, reports), drop_hidden)
-
-
-def _lanes(count: int) -> int:
-    return -(-count // LANES) * LANES
+    return ShadedBody(mesh, groups, first_device(kind, reports), drop_hidden, together)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,15 @@ class LightPlan:
     seed: int = 0
     coarse: bool = True  # draw the mesh for this size, not the file's
     kind: str = "cpu"  # of the device
+    launches: tuple[int, ...] = ()  # poses of a launch, in turns, instead of `poses`: a GPU is filled by many
+    weighed: tuple[
+        int, ...
+    ] = ()  # poses whose evidence is asked for at once, in turns, instead of an eighth of `poses`
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Poses of a launch."""
+        return self.launches or (self.poses,)
 
 
 @dataclass(frozen=True)
@@ -61,7 +71,9 @@ class LightRow:
     way: str
     side: int
     shadow_px: int
+    poses: int  # of a launch
     us_per_pose: float
+    kernel_us: float | None  # of it in the kernel, as the device says: the rest is transfers and the host's
     agreement: float | None  # share of covered pixels that agree with the twin on what is drawn
 
 
@@ -70,7 +82,8 @@ def bench_light(bodies: Mapping[str, Mesh], plan: LightPlan, say: Callable[[str]
     rows = []
     for name, mesh in bodies.items():
         say(f"{name}: {mesh.n_faces} faces")
-        rows += [*_planes_rows(name, mesh, plan), _template_row(name, mesh, plan), _evidence_row(name, mesh, plan)]
+        rows += [*_planes_rows(name, mesh, plan), *_template_rows(name, mesh, plan)]
+        rows += _evidence_rows(name, mesh, plan)
     return rows
 
 
@@ -82,12 +95,13 @@ def light_document(machine: Mapping[str, Any], rows: Sequence[LightRow]) -> dict
 def light_table(rows: Sequence[LightRow]) -> Table:
     """A line per mesh and way."""
     table = Table(title="µs per pose", title_justify="left", box=MARKDOWN)
-    for name in ("mesh", "faces", "drawn", "way", "px", "shadow px", "µs", "agrees"):
+    for name in ("mesh", "faces", "drawn", "way", "px", "shadow px", "poses", "µs", "in the kernel", "agrees"):
         table.add_column(name, justify="left" if name in ("mesh", "way") else "right", no_wrap=True)
     for row in rows:
         agrees = "-" if row.agreement is None else f"{row.agreement:.4f}"
+        kernel = "-" if row.kernel_us is None else f"{row.kernel_us:.2f}"
         cells = (row.mesh, f"{row.faces:,}", f"{row.drawn_faces:,}", row.way, str(row.side), str(row.shadow_px))
-        table.add_row(*cells, f"{row.us_per_pose:.1f}", agrees)
+        table.add_row(*cells, f"{row.poses:,}", f"{row.us_per_pose:.2f}", kernel, agrees)
     return table
 
 
@@ -104,9 +118,8 @@ def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
     side, supersample, shadow_px = plan.side, plan.supersample, plan.shadow_px
     drawn, groups = _prepared(mesh, side, plan)
     body, rng = open_shaded(drawn, groups, kind=plan.kind), _rng(plan)
-    given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
+    given, suns = views(drawn, max(plan.counts), side, rng), _suns(max(plan.counts), rng)
     shares = np.concatenate([np.linspace(0.5, 1.0, body.n_groups), [0.04, 0.0, 0.0, 0.0]])
-    few = max(1, plan.poses // 8)
 
     def planes(n: int) -> NDArray[np.float32]:
         few = given[:n], suns[:n]
@@ -116,34 +129,41 @@ def _planes_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
         return body.combined(given[:n], suns[:n], shares, side=side, supersample=supersample, shadow_px=texels)
 
     agreement = _agreement(body, (drawn, groups), given[: plan.compared], suns[: plan.compared], plan)
-    ways: tuple[tuple[str, int, Callable[[], object], int, float | None], ...] = (
-        ("planes", shadow_px, lambda: planes(few), few, agreement),
-        ("combined", shadow_px, lambda: combined(plan.poses, shadow_px), plan.poses, None),
-        ("combined", 0, lambda: combined(plan.poses, 0), plan.poses, None),
-    )
-    rows = [
-        LightRow(name, mesh.n_faces, drawn.n_faces, way, side, texels, _us(draw, n, plan.repeats), agrees)
-        for way, texels, draw, n, agrees in ways
-    ]
+    rows = []
+    for n in plan.counts:
+        few = max(1, n // 8)
+        ways: tuple[tuple[str, int, Callable[[], object], int], ...] = (
+            ("planes", shadow_px, partial(planes, few), few),
+            ("combined", shadow_px, partial(combined, n, shadow_px), n),
+            ("combined", 0, partial(combined, n, 0), n),
+        )
+        for way, texels, draw, count in ways:
+            spent = _us(draw, count, plan.repeats), _kernel_us(body.kernel_seconds, count)
+            agrees = agreement if way == "planes" else None
+            rows.append(LightRow(name, mesh.n_faces, drawn.n_faces, way, side, texels, count, *spent, agrees))
     body.close()
     return rows
 
 
-def _template_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
+def _template_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
     side, texels = plan.template_side, plan.template_shadow_px
     drawn, groups = _prepared(mesh, side, plan)
     body, rng = open_shaded(drawn, groups, kind=plan.kind), _rng(plan)
-    given, suns = views(drawn, plan.poses, side, rng), _suns(plan.poses, rng)
+    given, suns = views(drawn, max(plan.counts), side, rng), _suns(max(plan.counts), rng)
 
-    def pictures() -> object:
-        return body.pictures(given, suns, side=side, supersample=plan.template_supersample, shadow_px=texels)
+    def pictures(n: int) -> object:
+        few = given[:n], suns[:n]
+        return body.pictures(*few, side=side, supersample=plan.template_supersample, shadow_px=texels)
 
-    spent = _us(pictures, plan.poses, plan.repeats)
+    rows = []
+    for n in plan.counts:
+        spent = _us(partial(pictures, n), n, plan.repeats), _kernel_us(body.kernel_seconds, n)
+        rows.append(LightRow(name, mesh.n_faces, drawn.n_faces, "templates", side, texels, n, *spent, None))
     body.close()
-    return LightRow(name, mesh.n_faces, drawn.n_faces, "templates", side, texels, spent, None)
+    return rows
 
 
-def _evidence_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
+def _evidence_rows(name: str, mesh: Mesh, plan: LightPlan) -> list[LightRow]:
     """Evidence of drawn poses in a frame of the first one, every unknown of a sharp one among them."""
     side = -(-plan.side // LANES) * LANES
     drawn, groups = _prepared(mesh, side, plan)
@@ -155,10 +175,14 @@ def _evidence_row(name: str, mesh: Mesh, plan: LightPlan) -> LightRow:
     )
     scene = _frame(planes[0], body.n_groups, rng)
     terms = terms_of(scene, body.n_groups, planes.shape[1])
-    spent = _us(lambda: light.evidence(planes, body.n_groups, terms, ROUNDS), few, plan.repeats)
+    rows = []
+    for n in plan.weighed or (few,):
+        ask = partial(light.evidence, planes, body.n_groups, terms, ROUNDS, [k % few for k in range(n)])
+        spent = _us(ask, n, plan.repeats), _kernel_us(light.kernel_seconds, n)
+        rows.append(LightRow(name, mesh.n_faces, drawn.n_faces, "evidence", side, plan.shadow_px, n, *spent, None))
     light.close()
     body.close()
-    return LightRow(name, mesh.n_faces, drawn.n_faces, "evidence", side, plan.shadow_px, spent, None)
+    return rows
 
 
 def _frame(planes: NDArray[np.float32], n_groups: int, rng: np.random.Generator) -> Scene:
@@ -216,3 +240,7 @@ def _us(draw: Callable[[], object], poses: int, repeats: int) -> float:
             calls += 1
         spent.append((time.perf_counter() - start) / (calls * poses))
     return 1e6 * min(spent)
+
+
+def _kernel_us(seconds: float, poses: int) -> float | None:
+    return 1e6 * seconds / poses if seconds else None

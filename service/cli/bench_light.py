@@ -40,7 +40,9 @@ def light(
     with told(None):
         plan = LightPlan(side=side, supersample=supersample, shadow_px=shadow, seed=seed, coarse=not whole)
         plan = replace(plan, kind=device.value)
-        plan = replace(plan, poses=40, repeats=1, compared=2) if quick else plan
+        if device is Device.GPU:
+            plan = replace(plan, launches=(64, 512, 4096), weighed=(50, 512))
+        plan = replace(plan, poses=40, repeats=1, compared=2, launches=(), weighed=()) if quick else plan
         bodies = {Path(name).stem: read_model_file(name).mesh for name in mesh or ["demo"]}
         rows = bench_light(bodies, plan, lambda line: typer.echo(line, err=True))
         publish(light_document(describe_machine(), rows), (light_table(rows),), None, json, None)

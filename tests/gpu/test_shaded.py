@@ -14,7 +14,9 @@ from gpu.shaded import EVEN_LIGHT, ShadedBody, open_shaded
 from gpu.shaded_reference import EVEN_PLANES, Drawing, reference_planes
 from gpu.surface_groups import surface_groups
 
-KINDS = sorted({report.kind for report in find_devices() if report.rejected is None})
+# A GPU's form runs on a CPU, too, but for PoCL 5, which aborts while it compiles it (createParallelRegionBefore).
+USABLE = {report.kind: report.driver for report in find_devices() if report.rejected is None}
+FORMS = [(kind, None) for kind in sorted(USABLE)] + [("cpu", True)] * (USABLE.get("cpu", "5.")[:2] != "5.")
 SIZES = {"side": 40, "supersample": 3, "shadow_px": 128}
 GLOSS = (8.0, 40.0)
 PANEL = mesh_of(box((1.0, 1.0, 1.0)), box((0.02, 3.0, 1.2), (0.0, 2.2, 0.0)), box((2.0, 0.1, 0.1), (1.2, 0.0, 0.2)))
@@ -26,9 +28,13 @@ BODIES = {
 }
 
 
-@pytest.fixture(params=KINDS)
-def open_body(request) -> Callable[..., ShadedBody]:
-    return partial(open_shaded, kind=request.param)
+@pytest.fixture(params=FORMS, ids=["groups" if together else kind for kind, together in FORMS])
+def open_body(request, monkeypatch) -> Callable[..., ShadedBody]:
+    kind, together = request.param
+    if together:  # many rounds and tiles
+        monkeypatch.setattr("gpu.shaded_forms.GROUP", 24)
+        monkeypatch.setattr("gpu.shaded_forms.TILE", 1000)
+    return partial(open_shaded, kind=kind, together=together)
 
 
 def suns(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -251,6 +257,32 @@ def test_a_mirrored_body_shows_its_outside(open_body):
     other = body.planes(mirrored, sun * [-1, 1, 1], **SIZES)
     other[:, 2] *= -1  # normals to the right
     assert np.abs(other[..., ::-1] - body.planes(given, sun, **SIZES)).sum() < 2e-3 * np.abs(other).sum()
+
+
+def test_groups_draw_with_the_sizes_of_a_gpu_what_a_cpu_draws():
+    (outer, faces), (inner, _) = box((2.0, 2.0, 2.0), (2.0, 0.0, 0.0)), box((0.5, 0.5, 0.5), (2.0, 0.0, 0.0))
+    nested = np.vstack([outer, inner]), [*faces, *(faces + 8)]
+    mesh = mesh_of(sphere(6), soup(np.random.default_rng(5), 60, 40), nested)
+    groups, given, sun = surface_groups(mesh), views(mesh, 3, 20), suns(np.random.default_rng(2), 3)
+    sizes = {"side": 20, "supersample": 3, "shadow_px": 50, "gloss": GLOSS}
+    one, other = (open_shaded(mesh, groups, kind=min(USABLE), together=together) for together in (False, True))
+    assert np.array_equal(other.drawn_faces, one.drawn_faces) and len(one.drawn_faces) < mesh.n_faces
+    assert other.planes(given, sun, **sizes) == pytest.approx(one.planes(given, sun, **sizes), abs=1e-4)
+    with pytest.raises(ValueError, match="100 samples"):
+        other.planes(given, sun, side=1, supersample=100, shadow_px=0)
+
+
+def test_more_poses_than_a_launch_leaves_pictures_for(open_body, monkeypatch):
+    given, sun = views(PANEL, 7, 20), suns(np.random.default_rng(2), 7)
+    body = open_body(PANEL, surface_groups(PANEL))
+    weights = np.random.default_rng(7).uniform(-1, 1, (7, body.n_groups + EVEN_PLANES))
+    sizes = {"side": 20, "supersample": 2, "shadow_px": 50}
+    asked = (lambda: body.planes(given, sun, **sizes), lambda: body.combined(given, sun, weights, **sizes))
+    whole = [ask() for ask in asked]
+    monkeypatch.setattr("gpu.shaded_forms.LARGEST_RESULT", 3 * whole[1][0].nbytes)
+    for ask, wanted in zip(asked, whole, strict=True):
+        assert np.array_equal(ask(), wanted)
+    body.close()
 
 
 def test_wrong_questions_are_refused(open_body):
