@@ -1,4 +1,4 @@
-"""Runs ``kernels/evidence.cl``: the light of many drawn poses against one patch of a frame.
+"""The light of many drawn poses against one patch of a frame: ``kernels/evidence.cl``, ``evidence_gpu_room.cl``.
 
 Knows pictures and noise, not what they mean: see docs/model.md, section 3. The readable twin is
 ``service.inference.model.likelihood.fit_light``.
@@ -14,7 +14,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.device import DeviceReport, first_device, open_device
-from gpu.evidence_terms import LANES, Terms, inputs_of
+from gpu.evidence_groups import Asked, EvidenceGroups
+from gpu.evidence_terms import LANES, HostInputs, Terms, inputs_of
 from gpu.program import KernelArgument, Scratch, build, constant, device_errors, work_items, zero
 from gpu.shaded_reference import EVEN_PLANES
 
@@ -55,13 +56,18 @@ class Details:
 class LightEvidence:
     """One OpenCL device. Owned, used and closed by one thread."""
 
-    def __init__(self, report: DeviceReport) -> None:
+    def __init__(self, report: DeviceReport, together: bool | None = None) -> None:
         self.name = f"opencl:evidence:{report.name}"
+        self.kernel_seconds = 0.0  # that the device says it took for the last call; 0 where it is not asked
+        self._groups: EvidenceGroups | None = None
         with device_errors(self.name):
-            self._queue = cl.CommandQueue(cl.Context([open_device(report)]))
-            self._context = self._queue.context
-            self._memory = Scratch(self._context)
-            self._kernel = cl.Kernel(build(self._context, *FILES, options=[f"-DEVEN_PLANES={EVEN_PLANES}"]), "evidence")
+            context = cl.Context([open_device(report)])
+            if report.kind != "cpu" if together is None else together:
+                timed = cl.command_queue_properties.PROFILING_ENABLE
+                self._groups = EvidenceGroups(cl.CommandQueue(context, properties=timed))
+                return
+            self._queue, self._context, self._memory = cl.CommandQueue(context), context, Scratch(context)
+            self._kernel = cl.Kernel(build(context, *FILES, options=[f"-DEVEN_PLANES={EVEN_PLANES}"]), "evidence")
 
     def evidence(
         self,
@@ -89,6 +95,9 @@ class LightEvidence:
 
     def close(self) -> None:
         """Wait for the device and give its memory back."""
+        if self._groups is not None:
+            self._groups.close()
+            return
         self._queue.finish()
         self._memory.close()
 
@@ -112,49 +121,58 @@ class LightEvidence:
             raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
         unknowns = self._unknowns(n_planes, terms)
         host = inputs_of(several, numbers)
-        length = side + 2 * _lanes(host.radius)
-        each = _room(unknowns, n_planes, side, length)
-        out, drawn, ended = (np.empty((n, count), np.float32) for count in (4, n_planes, unknowns))
+        out, drawn, ended = told = tuple(np.empty((n, count), np.float32) for count in (4, n_planes, unknowns))
+        asked = Asked(n_groups, n_planes, side, unknowns, terms.speckle, terms.shifts, rounds)
         if n == 0:
             return Answers(np.empty(0), np.empty(0), drawn, ended)
-        items = work_items(self._queue.device, n, 4 * each)
         with device_errors(self.name):
-            flags = cl.mem_flags
             held = np.ascontiguousarray(planes, np.float32)
-            given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
-            inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
-            inputs.insert(3, np.int32(host.every))
-            inputs.insert(5, np.int32(host.started))
-            sizes = (n_groups, side, n_planes, terms.speckle, terms.shifts, rounds, length, host.n_stars)
-            told = (out, drawn, ended)
-            results = [cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in told]
-            more = None
-            if details is not None:
-                more = cl.Buffer(self._context, flags.WRITE_ONLY | flags.USE_HOST_PTR, hostbuf=details)
-            head: tuple[KernelArgument, ...] = (
-                given,
-                np.int32(n),
-                *inputs,
-                *(np.int32(v) for v in sizes),
-                *(np.float32(v) for v in host.scalars),
-                *(constant(self._context, one) for one in (host.spreads, host.own)),
-            )
-            tail = (self._memory.of(4 * each * items), np.uint64(each))
-            counter = zero(self._context)
-            self._kernel(self._queue, (items,), (1,), *head, *results, more, *tail, counter)
-            for array, result in zip(told, results, strict=True):
-                cl.enqueue_copy(self._queue, array, result)
-            if more is not None and details is not None:
-                reading = cl.map_flags.READ
-                mapped, _ = cl.enqueue_map_buffer(self._queue, more, reading, 0, details.shape, details.dtype)
-                mapped.base.release(self._queue)
-                self._queue.finish()
+            if self._groups is not None:
+                self.kernel_seconds = self._groups.weigh(held, host, asked, told, details)
+            else:
+                self._by_items(held, host, asked, told, details)
         return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn, ended)
 
+    def _by_items(
+        self, held: Numbers, host: HostInputs, asked: Asked, told: tuple[Numbers, ...], details: Numbers | None
+    ) -> None:
+        """Fill ``told`` and ``details``: a work-item takes pose after pose."""
+        length, flags = asked.side + 2 * _lanes(host.radius), cl.mem_flags
+        each = _room(asked.unknowns, asked.n_planes, asked.side, length)
+        items = work_items(self._queue.device, len(told[0]), 4 * each)
+        given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
+        inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
+        inputs.insert(3, np.int32(host.every))
+        inputs.insert(5, np.int32(host.started))
+        numbers = (asked.n_groups, asked.side, asked.n_planes, asked.speckle, asked.shifts, asked.rounds)
+        results = [cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in told]
+        more = None
+        if details is not None:
+            more = cl.Buffer(self._context, flags.WRITE_ONLY | flags.USE_HOST_PTR, hostbuf=details)
+        head: tuple[KernelArgument, ...] = (
+            given,
+            np.int32(len(told[0])),
+            *inputs,
+            *(np.int32(v) for v in (*numbers, length, host.n_stars)),
+            *(np.float32(v) for v in host.scalars),
+            *(constant(self._context, one) for one in (host.spreads, host.own)),
+        )
+        tail = (self._memory.of(4 * each * items), np.uint64(each))
+        self._kernel(self._queue, (items,), (1,), *head, *results, more, *tail, zero(self._context))
+        for array, result in zip(told, results, strict=True):
+            cl.enqueue_copy(self._queue, array, result)
+        if more is not None and details is not None:
+            mapped, _ = cl.enqueue_map_buffer(self._queue, more, cl.map_flags.READ, 0, details.shape, details.dtype)
+            mapped.base.release(self._queue)
+            self._queue.finish()
 
-def open_evidence(kind: str = "cpu") -> LightEvidence:
-    """On the first usable device of this kind. Raises ``DeviceError`` where OpenCL has none."""
-    return LightEvidence(first_device(kind))
+
+def open_evidence(kind: str = "cpu", together: bool | None = None) -> LightEvidence:
+    """On the first usable device of this kind. Raises ``DeviceError`` where OpenCL has none.
+
+    ``together``: work-groups share a pose out, where a work-item takes one; None: unless the device is a CPU.
+    """
+    return LightEvidence(first_device(kind), together)
 
 
 def _details(row: Numbers, unknowns: int, always: int, side: int) -> Details:

@@ -16,6 +16,7 @@ from service.inference.model.spread import PointSpread, spread
 from service.inference.model.terms import terms_of
 
 KINDS = sorted({report.kind for report in find_devices() if report.rejected is None})
+FORMS = [(kind, None) for kind in KINDS] + [("cpu", True)] * ("cpu" in KINDS)  # a GPU's form runs on a CPU, too
 NATS, RELATIVE = 0.05, 1e-3
 SHARP, TURBULENT = PointSpread(1.2), PointSpread(1.0, 0.8)
 CASES = {  # side, groups, gloss planes, point spread, speckle and shifts
@@ -29,9 +30,10 @@ CASES = {  # side, groups, gloss planes, point spread, speckle and shifts
 }
 
 
-@pytest.fixture(scope="module", params=KINDS)
+@pytest.fixture(scope="module", params=FORMS, ids=["groups" if together else kind for kind, together in FORMS])
 def light(request) -> Iterator[LightEvidence]:
-    opened = open_evidence(request.param)
+    kind, together = request.param
+    opened = open_evidence(kind, together)
     yield opened
     opened.close()
 
@@ -218,6 +220,21 @@ def test_pixels_of_which_only_a_least_value_is_known(light, full):
     scene = scene_of(rng, planes, 3, SHARP, True)
     terms = terms_of(replace(scene, censored=np.full((32, 32), full)), 3, 10)
     agrees(light.evidence(planes[None], 3, terms, ROUNDS), 0, fit_light(planes, 3, terms))
+
+
+def test_more_poses_than_fit_and_matrices_larger_than_local_memory(light, monkeypatch):
+    rng = np.random.default_rng(2)
+    planes = np.stack([wedges(rng, 32, 4, 4) for _ in range(5)])
+    terms = terms_of(scene_of(rng, planes[0], 4, TURBULENT, True), 4, 12)
+    whole, told = light.details(planes, 4, terms, 3)
+    monkeypatch.setattr("gpu.evidence_groups.LARGEST_LAUNCH", 600 << 10)  # two poses
+    monkeypatch.setattr("gpu.evidence_groups.LARGEST_MATRIX", 0)
+    parts, again = light.details(planes, 4, terms, 3)
+    np.testing.assert_array_equal(parts.log_evidence, whole.log_evidence)
+    np.testing.assert_array_equal(parts.values, whole.values)
+    for one, other in zip(told, again, strict=True):
+        np.testing.assert_array_equal(one.normal, other.normal)
+        np.testing.assert_array_equal(one.columns, other.columns)
 
 
 def test_a_side_of_no_whole_lanes_is_refused(light):
