@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from service.imaging.patch import Light, cut
 from service.imaging.pieces import find_light
+from service.inference.filters.mixture import FOLLOWED
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import View
 from service.inference.model.nuisance import Nuisance
+from service.inference.model.rivals import Followed
 from service.inference.model.search import Found, Track, make_bank
 from service.inference.model.spread import PointSpread, spread
 from service.inference.model.stages import ROUGH, Body, Sight, stage_hill
@@ -80,3 +82,10 @@ def is_ordered(found: Found) -> bool:
 
 def track_at(poses: Poses) -> Track:
     return Track(Candidates(poses, np.tile(SUN, (len(poses), 1)), np.zeros(len(poses))))
+
+
+def followed(sight: Sight, modes: Poses) -> Followed:
+    """As a track that has learnt the frame's point spread follows these modes, the likeliest first."""
+    nuisance = Nuisance(1.3, discrepancy=0.005)
+    hill = stage_hill(body(bool(modes.joints.size)).fine, sight, FOLLOWED, nuisance, TOLD, speckle=True)
+    return Followed(track_at(modes).modes, sight, hill, nuisance)

@@ -77,9 +77,10 @@ class Mixture:
     ever_tracked: bool
     searches: int  # that could not better the leader, one after the other
     misses: int  # that had not found it while another led
-    since_search: int  # frames
+    since_search: int  # frames since the last of a search
     photon: float | None = None  # variance per count of light; None: as each frame suggests
     searched_nats: float = 340.0  # log evidence against the empty sky where it was searched; as if 0.8 of them met it
+    parts_searched: int = 0  # of the search that is under way
 
 
 @dataclass(frozen=True)

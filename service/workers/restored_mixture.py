@@ -72,6 +72,7 @@ def _check_numbers(mixture: Mixture) -> None:
         "misses": (mixture.misses, int, 0, _LARGEST),
         "since_search": (mixture.since_search, int, 0, _LARGEST),
         "searched_nats": (mixture.searched_nats, float, -_LARGEST, _LARGEST),
+        "parts_searched": (mixture.parts_searched, int, 0, _LARGEST),
         "ever_tracked": (mixture.ever_tracked, bool, 0, 1),
     }
     for name, (value, kind, low, high) in bounds.items():

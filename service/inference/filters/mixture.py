@@ -5,14 +5,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.filters.answer import drawn, estimate_of, unseen
+from service.inference.filters.effort import is_doubted, part_due, searched_nats
 from service.inference.filters.given import Given, Predicted, Updated
-from service.inference.filters.status import one_answer, status_of, told_existence, widths_across
+from service.inference.filters.status import one_answer, status_of, told_existence
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.held import believed
 from service.inference.model import existence, paint, prior
@@ -21,8 +23,9 @@ from service.inference.model.drawing import Quality
 from service.inference.model.dynamics import predicted, predicted_suns
 from service.inference.model.expected import lit_box
 from service.inference.model.nuisance import Nuisance
-from service.inference.model.search import Found, Track, search
-from service.inference.model.stages import FINEST, Stage, stage_hill
+from service.inference.model.rivals import Followed, rivals
+from service.inference.model.search import Found, Track, most_parts, search
+from service.inference.model.stages import FINEST, Part, Sight, Stage, stage_hill
 from service.inference.motion import MotionNoise, motion_noise
 from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
 from service.inference.numerics.hill import Hill, Refined, Trust
@@ -36,10 +39,6 @@ FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as 
 _RIM, _SIGHT = 1.2, 1.6  # numerical: of the body's radius that belongs to it; a patch's side over its light's span
 _ENOUGH_OF_OTHERS = 1 / prior.EVIDENCE_TRUST  # numerical: nats that others may be short of their best
 _LEAST = 1e-3  # numerical: probability below which a mode is dropped
-_EAGER = 4  # numerical: searches of a leader, one frame after the other
-# numerical: of them for a body that is resolved, where a truth that was missed is less likely than this
-_EAGER_IF_SURE, _SURE = 2, 0.01
-_RARER, _RAREST = 3, 100  # numerical: each search that could not better the leader makes the next so much rarer; frames
 
 
 def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> tuple[FilterState, Estimate]:
@@ -78,7 +77,7 @@ def judge(
     if hill is None or (ahead is None and not (found and found.basins)):
         return None
     gone = before is not None and bool(before.existence[existence.ABSENT] >= 0.5)
-    refined = update(ahead, hill, given.domain.wrapping, far=found is not None or gone)
+    refined = update(ahead, hill, given.domain.wrapping, far=bool(found and found.basins) or gone)
     updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
     return Judged(updated, prune(updated, before, found, given, hill), hill)
 
@@ -95,6 +94,7 @@ def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
         existence=after.existence,
         searches=after.searches,
         since_search=after.since_search,
+        parts_searched=after.parts_searched,
     )
 
 
@@ -118,12 +118,15 @@ def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
 
 
 def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted | None, given: Given) -> Found | None:
-    """What a search of the whole space finds; None where none is due."""
-    if not search_due(before):
+    """What a search of the whole space, or a part of one, finds; None where none is due."""
+    part = part_due(before, most_parts(given.body, given.told))
+    if part is None:
         return None
     track = None
     if before is not None and ahead is not None:
         track = Track(Candidates(ahead.poses, ahead.suns, ahead.log_weights), is_doubted(before))
+        if part.count > 1:
+            return beside(rng, before, ahead, track, part, given)
     shake = before is not None and before.searches == 1  # what leads, once
     return looked(None if before is None else rng, track, given, shake)
 
@@ -132,12 +135,29 @@ def looked(rng: np.random.Generator | None, track: Track | None, given: Given, s
     """A search of the frame, beside a track where there is one; None where nothing shows."""
     if given.frame.sight is None:
         return None
+    look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
+    return search(*look, rng, alike_by(given), shake=shake, track=track)
+
+
+def beside(
+    rng: np.random.Generator, before: Mixture, ahead: Predicted, track: Track, part: Part, given: Given
+) -> Found | None:
+    """A part of a search, of which every frame has its own; None where nothing shows."""
+    if given.frame.sight is None:
+        return None
+    sight, hill, nuisance = followed_on(before, ahead, given)
+    followed = Followed(track.modes, sight, hill, nuisance)
+    met = rivals(given.body, followed, given.bank(), given.told, part, rng, alike_by(given))
+    return Found(met, hill, nuisance, part)
+
+
+def alike_by(given: Given) -> Callable[[Poses], Poses] | None:
+    """The symmetry-equivalents of poses; None: there are none."""
 
     def alike(poses: Poses) -> Poses:
         return given.domain.wrap(concatenate(*[twin(poses, symmetry) for symmetry in given.twins]))
 
-    look = given.body, given.frame.sight, given.bank(), given.told, given.frame.wide
-    return search(*look, rng, alike if given.twins else None, shake=shake, track=track)
+    return alike if given.twins else None
 
 
 def as_candidates(found: Found) -> Candidates:
@@ -146,38 +166,20 @@ def as_candidates(found: Found) -> Candidates:
     return Candidates(poses, suns, np.array([one.log_posterior for one in found.basins]))
 
 
-def is_doubted(mixture: Mixture) -> bool:
-    """Whether the light that is seen is rather something else's, or the truth is not among the modes."""
-    return bool(told_existence(mixture)[existence.NO_FIT] >= 0.5)
-
-
-def is_open(mixture: Mixture) -> bool:
-    """Whether two searches may have missed the truth: of little light, blurred, of what fits worse or is not alone."""
-    missed = existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    known = mixture.ever_tracked and mixture.misses == 0 and not is_doubted(mixture)
-    return not known or missed > _SURE or widths_across(mixture) < prior.UNLIKE_ACROSS
-
-
-def search_due(before: Mixture | None) -> bool:
-    """As often as it is likely that the truth was missed; a track that many searches could not better has few."""
-    eager = _EAGER if before is None or is_open(before) else _EAGER_IF_SURE
-    if before is None or before.searches < eager:
-        return True
-    if before.existence[existence.ABSENT] >= 0.5:  # what comes back is within reach of its prediction, as a rule
-        return before.since_search > 0
-    if before.searches < eager + before.misses or is_doubted(before):
-        return before.since_search + 1 >= _RARER
-    return bool(before.since_search + 1 >= min(_RARER ** (before.searches - eager + 1), _RAREST))
-
-
 def ground(
     before: Mixture | None, ahead: Predicted | None, found: Found | None, given: Given
 ) -> tuple[Hill | None, Nuisance]:
     """What the modes climb on: the search's own patch where there was one, else one around the leader."""
-    if found is not None and found.basins:
+    if found is not None and (found.basins or found.part.count > 1):
         return found.hill, found.nuisance
     if before is None or ahead is None:
         return None, Nuisance(prior.CORE_PX)
+    _, hill, nuisance = followed_on(before, ahead, given)
+    return hill, nuisance
+
+
+def followed_on(before: Mixture, ahead: Predicted, given: Given) -> tuple[Sight, Hill, Nuisance]:
+    """The light around the leader, what modes climb on there, and under what."""
     lead = int(np.argmax(ahead.log_weights))
     core, wings = (float(one) for one in before.point_spread)
     nuisance = Nuisance(core, wings, before.discrepancy, before.photon)
@@ -185,7 +187,7 @@ def ground(
     sight = given.frame.around(ahead.poses.position[lead], _RIM * reach, before.span_px, nuisance.core)
     leader = ahead.poses[lead : lead + 1], ahead.suns[lead : lead + 1], ahead.paint[lead]
     sight = sight.over(lambda lens: lit_box(given.body.fine, *leader, lens=lens))
-    return stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
+    return sight, stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
 
 
 def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far: bool) -> list[Refined]:
@@ -227,8 +229,10 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         elif len(kept) < MOST_MODES and log_weights[k] > np.log(_LEAST):
             kept.append(int(k))
     chosen = log_weights[kept] - np.logaddexp.reduce(log_weights[kept])
-    another = is_another(updated, given)
+    another, part = is_another(updated, given), None if found is None else found.part
     searches, misses = (0, 0) if before is None else (before.searches, before.misses)
+    parts = 0 if before is None or another else before.parts_searched
+    whole = part is not None and part.is_last
     if another and before is not None and before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
         misses += searches  # are now known to have missed the truth
     mixture = Mixture(
@@ -247,24 +251,14 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         log_light=updated.log_light,
         span_px=hill.view.side * hill.view.binning / _SIGHT,
         ever_tracked=before is not None and before.ever_tracked,
-        searches=(0 if another else searches) + (found is not None),
+        searches=(0 if another else searches) + whole,
         misses=misses,
-        since_search=0 if found is not None or before is None else before.since_search + 1,
-        searched_nats=searched_nats(before, found, updated),
+        since_search=0 if whole or before is None else before.since_search + 1,
+        searched_nats=searched_nats(before, whole, updated),
+        parts_searched=0 if whole else parts + (part is not None),
     )
     status = status_of(mixture, given.twins, given.domain)
     return replace(mixture, ever_tracked=mixture.ever_tracked or status == "tracking")
-
-
-def searched_nats(before: Mixture | None, found: Found | None, updated: Updated) -> float:
-    """Log evidence of the best mode against the empty sky, the mean of the frames that were searched."""
-    nats = float(updated.log_evidence / prior.EVIDENCE_TRUST)
-    if before is None:
-        return nats
-    if found is None or updated.existence[existence.ABSENT] >= 0.5:
-        return before.searched_nats
-    known = before.searches + before.misses
-    return (known * before.searched_nats + nats) / (known + 1)
 
 
 def concluded(

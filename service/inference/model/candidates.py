@@ -34,6 +34,9 @@ class Candidates:
     suns: Array  # (N, 3)
     found: Array  # (N,) log posterior at the last stage; -inf: not looked at
 
+    def __len__(self) -> int:
+        return len(self.found)
+
     def __getitem__(self, index: NDArray[np.intp] | slice) -> Candidates:
         return Candidates(self.poses[index], self.suns[index], self.found[index])
 
@@ -47,7 +50,7 @@ def scored(hill: Hill, some: Candidates) -> Candidates:
 
 def climbed(hill: Hill, some: Candidates, stage: Stage, hopeless: float = np.inf) -> Candidates:
     """The best basins after a few steps of Gauss-Newton, best first; none of none."""
-    if not len(some.found):
+    if not len(some):
         return some
     articulation = hill.drawing.articulation
     some = best_of(some, stage.kept, articulation)
@@ -100,6 +103,12 @@ def turned_alike(one: Poses, others: Poses, articulation: Articulation) -> NDArr
     apart = np.abs(tangent(one, others, articulation.wrapping))
     near = np.linalg.norm(apart[:, :3], axis=1) < np.deg2rad(SHARED_DEG)
     return np.asarray(near & np.all(apart[:, 6:] < _JOINT_APART * articulation.spans, axis=1))
+
+
+def unlike(some: Candidates, others: Poses, articulation: Articulation) -> Candidates:
+    """Those that are no other look at any of some poses."""
+    alike = [turned_alike(some.poses[k : k + 1], others, articulation).any() for k in range(len(some))]
+    return some[np.flatnonzero(~np.array(alike, dtype=bool))]
 
 
 def log_prior(poses: Poses, suns: Array, told: PosePrior) -> Array:

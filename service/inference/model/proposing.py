@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from service.inference.model import bank as banks
 from service.inference.model.candidates import SHARED_DEG, Candidates, distinct, joined
-from service.inference.model.stages import PatchLike
+from service.inference.model.stages import WHOLE, Part, PatchLike
 from service.inference.model.templates import Bank
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import exp_so3, multiply, rotation_matrices
@@ -19,38 +19,48 @@ _PER_KIND = 80  # numerical: templates of each kind that are looked at with the 
 _TURNED = 72_000
 
 
-def propose(bank: Bank, patch: PatchLike, told: PosePrior) -> Candidates:
+def turns(n_templates: int, told: PosePrior) -> int:
+    """Ways to turn the frame: one where the Sun is told."""
+    return 1 if told.towards_sun is not None else max(round(_TURNED / n_templates), 1)
+
+
+def propose(bank: Bank, patch: PatchLike, told: PosePrior, part: Part = WHOLE) -> Candidates:
     """The templates most like the frame: the best of each kind.
 
     Where no Sun is told, a template is as good for a body that is turned about the line of sight together with its
     Sun: the frame, turned a few ways, is held against all of them.
+    ``part``: has a share of the ways, or of the templates where there is one way.
     """
-    count = 1 if told.towards_sun is not None else max(round(_TURNED / len(bank.poses)), 1)
-    turns = 2 * np.pi / count * np.arange(count)
-    met = [_met(bank, patch, told, turn) for turn in turns]
-    some = joined([_best(joined(of_kind)) for of_kind in zip(*met, strict=True)])
+    count, kept = turns(len(bank.poses), told), part.share(_PER_KIND)
+    ways = 2 * np.pi / count * np.arange(count)
+    if count == 1:
+        bank = bank[part.own]
+    else:
+        ways = ways[part.own]
+    met = [_met(bank, patch, told, way, kept) for way in ways]
+    some = joined([_best(joined(of_kind), kept) for of_kind in zip(*met, strict=True)])
     poses = some.poses
     position = poses.position * patch.binning + np.asarray(patch.origin)
     placed = Poses(poses.quaternion, position, poses.log_scale + np.log(patch.binning), poses.joints)
     return Candidates(placed, some.suns, np.full(len(placed), -np.inf))
 
 
-def _met(bank: Bank, patch: PatchLike, told: PosePrior, turn: float) -> list[Candidates]:
+def _met(bank: Bank, patch: PatchLike, told: PosePrior, turn: float, kept: int) -> list[Candidates]:
     """Of each kind the likest templates, in patch px, if the frame is turned by so much (rad) from x to y."""
     seen = banks.looks(_turned(patch.image, turn), patch.sigma)
     log_scale = None if told.log_scale is None else told.log_scale - np.log(patch.binning)
     scores, poses = banks.match(bank, seen, log_scale, told.log_scale_sigma)
     out = []
     for score, here in zip(scores, poses, strict=True):
-        order = np.argsort(-score)[: 3 * _PER_KIND]
+        order = np.argsort(-score)[: 3 * kept]
         out.append(_turned_back(Candidates(here[order], bank.suns[order], score[order]), len(patch.image), turn))
     return out
 
 
-def _best(some: Candidates) -> Candidates:
-    order = np.argsort(-some.found)[: 3 * _PER_KIND]
+def _best(some: Candidates, kept: int) -> Candidates:
+    order = np.argsort(-some.found)[: 3 * kept]
     order = order[some.found[order] > 0]
-    return some[order[distinct(some.poses[order], np.deg2rad(SHARED_DEG))][:_PER_KIND]]
+    return some[order[distinct(some.poses[order], np.deg2rad(SHARED_DEG))][:kept]]
 
 
 def _turned(image: NDArray[np.float32], turn: float) -> NDArray[np.float32]:

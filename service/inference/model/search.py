@@ -23,7 +23,7 @@ from service.inference.model.drawing import Drawing
 from service.inference.model.expected import lit_box
 from service.inference.model.lookalikes import BETWEEN_JOINTS, boxed, equivalents, scattered
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_photon, best_spread
-from service.inference.model.proposing import propose
+from service.inference.model.proposing import propose, turns
 from service.inference.model.shaking import SAME_DEG, shaken
 from service.inference.model.stages import (
     CLEAR,
@@ -32,7 +32,9 @@ from service.inference.model.stages import (
     MIDDLE,
     ROUGH,
     SHARP,
+    WHOLE,
     Body,
+    Part,
     Sight,
     stage_hill,
 )
@@ -48,14 +50,14 @@ BANK_SIZE = 4500  # numerical: rotations 12 degrees apart; as many again for eac
 # numerical: about half a step of the bank's, each axis
 _BETWEEN_RAD, _BETWEEN_SCALES = 0.07, 0.06
 _MIRRORED = 3  # numerical: of the best, whose symmetry-equivalents are looked at
-_BOXED = 2  # numerical: of the best, whose images were the body a box are looked at
+BOXED = 2  # numerical: of the best, whose images were the body a box are looked at
 _WIDER = 1.3  # numerical: so much more must a wider sight span
-_BEHIND = 40.0  # numerical: nats behind the best at the sharp stage: of 52 frames the truth was 21 at the most
+BEHIND = 40.0  # numerical: nats behind the best at the sharp stage: of 52 frames the truth was 21 at the most
 _LIT_SHARE = 0.65  # numerical: of a body's diameter that shows light, as a rule: how far a patch reaches
 _TRIED = 60  # numerical: basins whose joints and Suns are tried anew
 _TOGETHER = 2  # numerical: joints that are tried in all combinations; more of them one after the other
 _VALUES = (8, 6)  # numerical: of each joint, alone or of two together
-_SUNS, _MORE_SUNS = 14, 48  # numerical: tried roughly, and clearly
+_SUNS, MORE_SUNS = 14, 48  # numerical: tried roughly, and clearly
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ class Found:
     basins: list[Refined]
     hill: Hill
     nuisance: Nuisance  # frame px
+    part: Part = WHOLE  # that was searched
 
 
 @dataclass(frozen=True)
@@ -105,9 +108,9 @@ def search(
         more = started(body, wide, bank, told, nuisance, rng)
         hill = stage_hill(body.middle, wide, MIDDLE, nuisance, told, speckle=False)
         few, others = (climbed(hill, scored(hill, one), MIDDLE) for one in (some, more))
-        if len(others.found) and (not len(few.found) or others.found[0] > few.found[0]):
+        if len(others) and (not len(few) or others.found[0] > few.found[0]):
             sight, some = wide, others
-    if not len(some.found):
+    if not len(some):
         return Found([], stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance)
     first = some[:1]
     sight = sight.over(lambda lens: lit_box(body.rough, first.poses, first.suns, lens=lens))
@@ -118,11 +121,11 @@ def search(
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
-        some = best_of(joined([some, *under(hill, some, _MORE_SUNS)]), SHARP.kept, body.fine.articulation)
+        some = best_of(joined([some, *under(hill, some, MORE_SUNS)]), SHARP.kept, body.fine.articulation)
     news = some if track is None else beside(hill, some, track, shake, rng)
     if news is None:
         return Found([], hill, nuisance)
-    some = news[np.flatnonzero(news.found > news.found[0] - _BEHIND)]
+    some = news[np.flatnonzero(news.found > news.found[0] - BEHIND)]
     some = some if alike is None else joined([some, equivalents(some[:_MIRRORED], alike)])
     return finished(body, sight, some, nuisance, told, shake)
 
@@ -133,11 +136,11 @@ def beside(
     """What was met, what looks like the best of it, and what is followed; None: nothing that is not followed."""
     articulation = hill.drawing.articulation
     known = climbed(hill, scored(hill, track.modes), SHARP)
-    more = [some, boxed(hill, best_of(joined([known, some]), _BOXED, articulation))]
+    more = [some, boxed(hill, best_of(joined([known, some]), BOXED, articulation))]
     if track.doubted and rng is not None:
         more.append(scattered(rng, hill, known[:1]))
     some = best_of(joined(more), SHARP.kept, articulation)
-    rivals = some[np.flatnonzero(some.found > known.found[0] - _BEHIND)].poses
+    rivals = some[np.flatnonzero(some.found > known.found[0] - BEHIND)].poses
     if shake or not all(turned_alike(rivals[k : k + 1], known.poses, articulation).any() for k in range(len(rivals))):
         return best_of(joined([some, known]), SHARP.kept, articulation)
     return None
@@ -150,28 +153,33 @@ def started(
     told: PosePrior,
     nuisance: Nuisance,
     rng: np.random.Generator | None = None,
+    part: Part = WHOLE,
+    wanted: Callable[[Hill, Candidates], Candidates] | None = None,
 ) -> Candidates:
-    """From templates to the basins of the roughest stage."""
-    first = sight.cut(sight.span, MIDDLE.wanted)
-    some = propose(bank, first, told)
+    """From templates to the basins of the roughest stage; ``wanted``: those of them that go on."""
+    some = propose(bank, sight.cut(sight.span, MIDDLE.wanted), told, part)
     if sight.lens is not None:
         some = replace(some, poses=sight.lens.aimed(some.poses))
-    if not len(some.found):
+    if not len(some):
         return some
     if rng is not None:
         some = jittered(rng, some, body.rough, told.tracking)
     hill = stage_hill(body.rough, sight, ROUGH, nuisance, told, speckle=False)
-    some = best_of(scored(hill, some), len(some.found))
+    some = best_of(scored(hill, some), len(some))
     more = 1 + min(2, some.poses.joints.shape[1])  # joints ask for as many again
-    some = climbed(hill, varied(hill, some), replace(FIRST, kept=more * FIRST.kept))
-    return climbed(hill, varied(hill, some), replace(ROUGH, kept=more * ROUGH.kept))
+    for stage in (FIRST, ROUGH):
+        if not len(some):
+            break
+        some = climbed(hill, varied(hill, some, part), replace(stage, kept=more * stage.kept).of(part))
+        some = some if wanted is None else wanted(hill, some)
+    return some
 
 
 def jittered(
     rng: np.random.Generator, some: Candidates, drawing: Drawing, tracking: SunTracking | None = None
 ) -> Candidates:
     """Each pose somewhere between its neighbours."""
-    steps = np.zeros((len(some.found), 6 + some.poses.joints.shape[1]))
+    steps = np.zeros((len(some), 6 + some.poses.joints.shape[1]))
     steps[:, :3] = _BETWEEN_RAD * rng.standard_normal((len(steps), 3))
     steps[:, 5] = _BETWEEN_SCALES * rng.standard_normal(len(steps))
     spans = drawing.articulation.spans
@@ -220,6 +228,13 @@ def bank_size(n_joints: int) -> int:
     return BANK_SIZE * (1 + min(2, n_joints))
 
 
+def most_parts(body: Body, told: PosePrior) -> int:
+    """Into how many parts a search can be cut."""
+    count = bank_size(len(searched_joints(body.rough, told)))
+    ways = turns(count, told)
+    return ways if ways > 1 else count
+
+
 def make_bank(body: Body, told: PosePrior) -> Bank:
     """Templates under the Sun that is told, or each under one of many."""
     count = bank_size(len(searched_joints(body.rough, told)))
@@ -228,14 +243,14 @@ def make_bank(body: Body, told: PosePrior) -> Bank:
     return banks.build(body.rough, suns, told.tracking)
 
 
-def varied(hill: Hill, some: Candidates) -> Candidates:
+def varied(hill: Hill, some: Candidates, part: Part = WHOLE) -> Candidates:
     """What does not move is found first: with other joint values, and other Suns where none is told, it may fit."""
     articulation = hill.drawing.articulation
-    some = best_of(some, len(some.found), articulation)
+    some = best_of(some, len(some), articulation)
     tried, joints, free = [some], articulation.joints, searched_joints(hill.drawing, hill.told)
     together = [free] if len(free) <= _TOGETHER else [[k] for k in free]
     for chosen in together if free else ():
-        few = best_of(joined(tried), _TRIED // len(chosen))
+        few = best_of(joined(tried), part.share(_TRIED // len(chosen)))
         count = _VALUES[min(len(chosen), len(_VALUES)) - 1]
         for at in np.ndindex(*[count] * len(chosen)):
             values = few.poses.joints.copy()
@@ -243,13 +258,13 @@ def varied(hill: Hill, some: Candidates) -> Candidates:
                 values[:, k] = joints[k].minimum + (place + 0.5) / count * (joints[k].maximum - joints[k].minimum)
             tried.append(scored(hill, replace(few, poses=replace(few.poses, joints=values))))
     if hill.told.towards_sun is None:
-        tried += under(hill, best_of(joined(tried), _TRIED, articulation), _SUNS)
+        tried += under(hill, best_of(joined(tried), part.share(_TRIED), articulation), _SUNS)
     return joined(tried)
 
 
 def under(hill: Hill, some: Candidates, count: int) -> list[Candidates]:
     """The same poses under each of so many Suns."""
-    suns = (np.tile(sun, (len(some.found), 1)) for sun in directions(count))
+    suns = (np.tile(sun, (len(some), 1)) for sun in directions(count))
     tracking, out = hill.told.tracking, []
     for sun in suns:
         poses = some.poses if tracking is None else tracking.pointed(some.poses, sun)

@@ -107,6 +107,31 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Part:
+    """One of so many equal parts of a search, which goes on over as many frames."""
+
+    number: int = 0
+    count: int = 1
+
+    @property
+    def is_last(self) -> bool:
+        """Whether all have been searched with it."""
+        return self.number + 1 >= self.count
+
+    @property
+    def own(self) -> slice:
+        """Its things of a row of them."""
+        return slice(self.number, None, self.count)
+
+    def share(self, count: int) -> int:
+        """Its share of so many; rounded up, and two at the least where more parts share them."""
+        return count if self.count == 1 else max(-(-count // self.count), 2)
+
+
+WHOLE = Part()
+
+
+@dataclass(frozen=True)
 class Stage:
     """One resolution of a search. All numbers are numerical: a search that stops early misses the truth, no more."""
 
@@ -118,6 +143,10 @@ class Stage:
     quality: Quality
     trust: Trust
     off: float = 0.0  # discrepancy at the least: a pose that is degrees off draws a body as a wrong mesh does
+
+    def of(self, part: Part) -> Stage:
+        """The stage of a part of a search."""
+        return replace(self, kept=part.share(self.kept))
 
 
 # numerical: all of them

@@ -121,6 +121,35 @@ def test_a_body_is_found_followed_and_its_rates_are_known():
         assert sum(mode.weight for mode in estimate.modes) == pytest.approx(1.0)
 
 
+def test_a_settled_track_has_its_search_in_parts_and_counts_it_when_all_are_done(monkeypatch):
+    state, parts, plain = passed()[2][0], [], filtering.rivals
+    monkeypatch.setattr(filtering, "rivals", lambda *look: parts.append(look[4]) or plain(*look))
+    monkeypatch.setattr(filtering, "search", lambda *look, **how: pytest.fail("a whole search"))
+    held, counts = replace(state.mixture, searches=2, ever_tracked=True, parts_searched=0), []
+    for k in range(3, 7):
+        state = replace(state, mixture=replace(held, since_search=9))  # the next part is due
+        state, estimate = advance(state, frame(k), k)
+        held = state.mixture
+        counts.append((held.searches, held.parts_searched, held.since_search))
+        assert estimate.status == "tracking" and error_deg(estimate, k) < 3.0
+    assert [part.number for part in parts] == list(range(parts[0].count)) == list(range(4))
+    assert counts == [*((2, k, 10) for k in range(1, 4)), (3, 0, 0)]
+
+
+def test_a_track_that_is_wrong_is_bettered_by_the_part_that_meets_the_truth():
+    state = passed()[2][0]
+    turned = retract(state.mixture.poses, 0.6 * np.eye(6)[1:2])
+    held = replace(state.mixture, poses=turned, rates=0 * state.mixture.rates, searches=6, ever_tracked=True)
+    for k in range(3, 11):
+        state = replace(state, mixture=replace(held, since_search=100))
+        state = advance(state, frame(k), k)[0]
+        held = state.mixture
+        if held.misses:
+            break
+    assert held.misses == 6 and held.searches <= 1  # six had missed what leads now, and it is searched whole again
+    assert error_deg(advance(state, frame(k + 1), k + 1)[1], k + 1) < 3.0
+
+
 def test_a_body_two_diameters_away_is_found_through_its_lens():
     """Half of it is seen larger by a third than the other, from 20 degrees aside."""
     lens, state = Lens(100.0, (32.0, 72.0)), None

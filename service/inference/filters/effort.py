@@ -1,0 +1,61 @@
+"""How often the whole space is searched beside a track (docs/model.md, section 6)."""
+
+from __future__ import annotations
+
+from service.inference.filters.given import Updated
+from service.inference.filters.status import told_existence, widths_across
+from service.inference.model import existence, prior
+from service.inference.model.stages import WHOLE, Part
+from service.inference.state import Mixture
+
+_EAGER = 4  # numerical: searches of a leader, one frame after the other
+# numerical: of them for a body that is resolved, where a truth that was missed is less likely than this
+_EAGER_IF_SURE, _SURE = 2, 0.01
+_SOON = 3  # numerical: frames to the next search of a track that may have missed the truth
+# numerical: frames over which the first search of a settled track goes on; each that could not better it: times so many
+_FIRST, _RARER, _RAREST = 9, 3, 100
+# numerical: parts of a search that goes on over frames, and frames a part where there is time for more of them: smaller
+# ones keep a frame less long, and together they take longer
+_LEAST_PARTS, _MOST_PARTS, _FRAMES_A_PART = 4, 12, 3
+
+
+def is_doubted(mixture: Mixture) -> bool:
+    """Whether the light that is seen is rather something else's, or the truth is not among the modes."""
+    return bool(told_existence(mixture)[existence.NO_FIT] >= 0.5)
+
+
+def is_open(mixture: Mixture) -> bool:
+    """Whether two searches may have missed the truth: of little light, blurred, of what fits worse or is not alone."""
+    missed = existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
+    known = mixture.ever_tracked and mixture.misses == 0 and not is_doubted(mixture)
+    return not known or missed > _SURE or widths_across(mixture) < prior.UNLIKE_ACROSS
+
+
+def part_due(before: Mixture | None, most_parts: int = _MOST_PARTS) -> Part | None:
+    """As often as it is likely that the truth was missed; a track that many searches could not better has few.
+
+    They go on over the frames between them, part after part, so that no frame has to wait for a whole one.
+    """
+    eager = _EAGER if before is None or is_open(before) else _EAGER_IF_SURE
+    if before is None or before.searches < eager:
+        return WHOLE
+    frames = before.since_search + 1
+    if before.existence[existence.ABSENT] >= 0.5:  # what comes back is within reach of its prediction, as a rule
+        return WHOLE if frames > 1 else None
+    if before.searches < eager + before.misses or is_doubted(before):
+        return WHOLE if frames >= _SOON else None
+    between = min(_FIRST * _RARER ** (before.searches - eager), _RAREST)
+    count = min(max(between // _FRAMES_A_PART, _LEAST_PARTS), _MOST_PARTS, most_parts)
+    part = Part(min(before.parts_searched, count - 1), count)
+    return part if frames * count >= between * (part.number + 1) else None
+
+
+def searched_nats(before: Mixture | None, searched: bool, updated: Updated) -> float:
+    """Log evidence of the best mode against the empty sky, the mean of the frames that were searched."""
+    nats = float(updated.log_evidence / prior.EVIDENCE_TRUST)
+    if before is None:
+        return nats
+    if not searched or updated.existence[existence.ABSENT] >= 0.5:
+        return before.searched_nats
+    known = before.searches + before.misses
+    return (known * before.searched_nats + nats) / (known + 1)

@@ -1,0 +1,81 @@
+"""What might be the truth rather than what is followed: a part of all poses (docs/model.md, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.inference.model.candidates import HOPELESS, Candidates, best_of, climbed, distinct, joined, scored, unlike
+from service.inference.model.lookalikes import boxed, equivalents
+from service.inference.model.nuisance import Nuisance
+from service.inference.model.search import BEHIND, BOXED, MORE_SUNS, started, under
+from service.inference.model.shaking import SAME_DEG
+from service.inference.model.stages import CLEAR, FINEST, MIDDLE, SHARP, Body, Part, Sight, stage_hill
+from service.inference.model.templates import Bank
+from service.inference.numerics.gauss_newton import ascend
+from service.inference.numerics.hill import Hill, Refined
+from service.inference.numerics.priors import PosePrior
+from service.inference.pose import concatenate
+from service.inference.state import Poses
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A track ahead of a frame: its modes, the likeliest first, and what they will climb on."""
+
+    modes: Candidates
+    sight: Sight
+    hill: Hill
+    nuisance: Nuisance
+
+
+def rivals(
+    body: Body,
+    followed: Followed,
+    bank: Bank,
+    told: PosePrior,
+    part: Part,
+    rng: np.random.Generator,
+    alike: Callable[[Poses], Poses] | None = None,
+) -> list[Refined]:
+    """Basins of a part of all poses that are not far behind the best mode, and no other look at one; best first.
+
+    Air, photons and discrepancy are those that the track has learnt, and it is climbed on what the track climbs on.
+    ``alike``: poses whose outline is that of the given ones; light decides between them.
+    """
+    sight, nuisance, articulation = followed.sight, followed.nuisance, body.fine.articulation
+
+    def near(hill: Hill, some: Candidates) -> Candidates:
+        known = scored(hill, followed.modes).found[0]
+        return unlike(some[np.flatnonzero(some.found > known - BEHIND)], followed.modes.poses, articulation)
+
+    some = started(body, sight, bank, told, nuisance, rng, part, near)
+    boxes = part.number == 0
+    for stage in (MIDDLE, SHARP):
+        if not len(some) and not boxes:
+            return []
+        hill = stage_hill(body.middle, sight, stage, nuisance, told, speckle=False)
+        some = near(hill, climbed(hill, scored(hill, some), stage.of(part)))
+    if told.towards_sun is None and len(some):  # no climb leads from a Sun in front of a flat body to one behind it
+        some = joined([some, *under(hill, some, MORE_SUNS)])
+    if boxes:
+        best = best_of(joined([scored(hill, followed.modes), some]), BOXED, articulation)
+        some = joined([some, boxed(hill, best)])
+    some = near(hill, best_of(some, SHARP.kept, articulation))
+    if not len(some):
+        return []
+    if alike is not None:
+        some = joined([some, unlike(equivalents(some, alike), followed.modes.poses, articulation)])
+    clear = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
+    every = joined([some, followed.modes[:1]])
+    every = climbed(clear, scored(clear, every), replace(CLEAR, kept=len(every)), HOPELESS)
+    every = every[np.flatnonzero(every.found > every.found[0] - HOPELESS)]
+    some = unlike(every, followed.modes.poses, articulation)
+    if not len(some):
+        return []
+    out = ascend(followed.hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
+    out.sort(key=lambda one: -one.log_posterior)
+    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG))
+    return [out[k] for k in kept]
