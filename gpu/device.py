@@ -61,6 +61,12 @@ def first_device(kind: str, reports: Iterable[DeviceReport] | None = None) -> De
     raise DeviceError(f"no {kind.upper()} is an OpenCL device: {no_device_reason()}")
 
 
+def first_kind(*kinds: str, reports: Iterable[DeviceReport] | None = None) -> str:
+    """The first of these kinds of which a device is usable; the first of all where none is."""
+    usable = {report.kind for report in (find_devices() if reports is None else reports) if report.rejected is None}
+    return next((kind for kind in kinds if kind in usable), kinds[0])
+
+
 def open_device(report: DeviceReport) -> cl.Device:
     """The device that a report is about."""
     platform, device = report.index

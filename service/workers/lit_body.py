@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 
 from gpu.coarse_mesh import coarse_mesh
+from gpu.device import first_kind
 from gpu.evidence import LightEvidence, open_evidence
 from gpu.mesh import Mesh
 from gpu.shaded import open_shaded
@@ -25,7 +26,7 @@ class LitBody:
     def __init__(self, mesh: Mesh, articulation: Articulation) -> None:
         self._held = ExitStack()
         with ExitStack() as opening:
-            light = open_evidence()
+            light = open_evidence(_kind())
             opening.callback(light.close)
             rough = _drawing(mesh, articulation, light, ROUGH_GROUPS, ROUGH_RADIUS_PX, opening)
             middle = _drawing(mesh, articulation, light, MIDDLE_GROUPS, MIDDLE_RADIUS_PX, opening)
@@ -56,6 +57,11 @@ def _drawing(
     drawn = mesh
     if radius_px is not None:
         drawn, groups = coarse_mesh(mesh, groups, radius_px)
-    shaded = open_shaded(drawn, groups)
+    shaded = open_shaded(drawn, groups, kind=_kind())
     held.callback(shaded.close)
     return Drawing(shaded, light, articulation, int(groups.max()) + 1, mesh.radius)
+
+
+def _kind() -> str:
+    """A followed frame has few poses at a time, over which a GPU takes as long: one that others may need is left."""
+    return first_kind("cpu", "gpu")

@@ -105,6 +105,7 @@ def test_a_real_device_lost_in_the_middle_changes_no_score(monkeypatch):
         raise cl.RuntimeError("clEnqueueReadBuffer failed: DEVICE_NOT_AVAILABLE")
 
     monkeypatch.setattr(cl, "enqueue_copy", fail)
-    with pytest.warns(RuntimeWarning, match=r"DEVICE_NOT_AVAILABLE.*numpy:reference"):
+    with pytest.warns(RuntimeWarning, match=r"DEVICE_NOT_AVAILABLE.*going on with") as told:
         after = scorer.score(poses, values)
+    assert "numpy:reference" in str(told[-1].message)  # after all devices: a GPU's host may be one as well
     assert np.array_equal(after, before)

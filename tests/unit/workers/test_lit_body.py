@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from lit_body import SUN, lit_mesh, pose
 
+from gpu.device import DeviceReport, first_kind
 from gpu.errors import DeviceError
 from service.inference.model.drawing import Quality, View
 from service.workers import lit_body as lit
@@ -20,10 +21,10 @@ class Closings:
             monkeypatch.setattr(lit, name, self._counted(getattr(lit, name), most))
 
     def _counted(self, really, most: int):
-        def open_one(*args):
+        def open_one(*args, **kind):
             if self.opened == most:
                 raise DeviceError("no more room")
-            found = really(*args)
+            found = really(*args, **kind)
             self.opened += 1
             close = found.close
 
@@ -69,6 +70,20 @@ def test_other_joints_are_free_on_the_same_drawings():
         assert opened.body.fine.articulation is articulation
     finally:
         opened.close()
+
+
+def test_light_is_computed_on_a_cpu_and_on_a_gpu_where_opencl_has_no_cpu(monkeypatch):
+    cpu, gpu, broken = (
+        DeviceReport("P", "D", "OpenCL 3", kind, why, (0, 0))
+        for kind, why in (("cpu", None), ("gpu", None), ("cpu", "the probe kernel failed"))
+    )
+    kinds = [first_kind("cpu", "gpu", reports=found) for found in ([gpu, cpu], [gpu, broken], [broken], [])]
+    assert kinds == ["cpu", "gpu", "cpu", "cpu"]
+    asked = []
+    monkeypatch.setattr(lit, "first_kind", lambda *wanted: asked.append(wanted) or "other")
+    with pytest.raises(DeviceError, match="no OTHER is an OpenCL device"):
+        LitBody(*lit_mesh())
+    assert asked == [("cpu", "gpu")]
 
 
 @pytest.mark.parametrize("most", range(4))
