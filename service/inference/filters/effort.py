@@ -14,9 +14,9 @@ _EAGER_IF_SURE, _SURE = 2, 0.01
 _SOON = 3  # numerical: frames to the next search of a track that may have missed the truth
 # numerical: frames over which the first search of a settled track goes on; each that could not better it: times so many
 _FIRST, _RARER, _RAREST = 9, 3, 100
-# numerical: parts of a search that goes on over frames, and frames a part where there is time for more of them: smaller
-# ones keep a frame less long, and together they take longer
-_LEAST_PARTS, _MOST_PARTS, _FRAMES_A_PART = 4, 12, 3
+# numerical: frames a part of a search that goes on over them, and the most parts: smaller ones keep a frame less long,
+# and together they take longer
+_FRAMES_A_PART, _MOST_PARTS = 3, 12
 
 
 def is_doubted(mixture: Mixture) -> bool:
@@ -45,7 +45,7 @@ def part_due(before: Mixture | None, most_parts: int = _MOST_PARTS) -> Part | No
     if before.searches < eager + before.misses or is_doubted(before):
         return WHOLE if frames >= _SOON else None
     between = min(_FIRST * _RARER ** (before.searches - eager), _RAREST)
-    count = min(max(between // _FRAMES_A_PART, _LEAST_PARTS), _MOST_PARTS, most_parts)
+    count = min(between // _FRAMES_A_PART, _MOST_PARTS, most_parts)
     part = Part(min(before.parts_searched, count - 1), count)
     return part if frames * count >= between * (part.number + 1) else None
 
