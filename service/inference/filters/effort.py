@@ -14,8 +14,8 @@ _EAGER_IF_SURE, _SURE = 2, 0.01
 _SOON = 3  # numerical: frames to the next search of a track that may have missed the truth
 # numerical: frames over which the first search of a settled track goes on; each that could not better it: times so many
 _FIRST, _RARER, _RAREST = 9, 3, 100
-# numerical: frames a part of a search that goes on over them, and the most parts: smaller ones keep a frame less long,
-# and together they take longer
+# numerical: frames a part of a search that goes on over them, and the most parts: four take as long together as a whole
+# search, twelve twice as long, but keep a frame half as long
 _FRAMES_A_PART, _MOST_PARTS = 3, 12
 
 
