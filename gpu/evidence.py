@@ -21,7 +21,7 @@ from gpu.shaded_reference import EVEN_PLANES
 
 Numbers = NDArray[np.float32]
 Window = tuple[slice, slice]  # rows and columns of a patch
-FILES = ("lanes.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
+FILES = ("lanes.cl", "evidence_shared.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
 EIGHT, NEAR, ODD = 8, 704, 5  # as the kernel has them
 HERMITE, BUMPS = 12, 9
 

@@ -14,7 +14,7 @@ from gpu.program import KernelArgument, Scratch, build, constant
 from gpu.shaded_reference import EVEN_PLANES
 
 Numbers = NDArray[np.float32]
-FILES = tuple(f"evidence_gpu{part}.cl" for part in ("_room", "_begin", "_model", "_normal", ""))
+FILES = ("evidence_shared.cl", *(f"evidence_gpu{part}.cl" for part in ("_room", "_begin", "_model", "_normal", "")))
 # numerical: work-items of a group, a power of two, 16 or more: as many as there are blocks of products in a simple case
 GROUP = 128
 # numerical: in how many parts a pose's products are summed: with them few poses fill a GPU

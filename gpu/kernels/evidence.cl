@@ -3,21 +3,6 @@
 // docs/model.md, section 3; the slow twin is service/inference/model/likelihood.py. One work-item takes pose after
 // pose. What a body can change of a frame lies in one box, `body`: beyond it there is sky alone.
 
-#define NU 4.0f
-#define HERMITE 12
-#define BUMPS 9
-#define LEAST_LIT 1e-4f
-#define LONGEST_STEP 1.5
-#define FIRM 1e8  // times the curvature of an unknown that is to go nowhere else
-#define STILL 1e-2  // nats: a step that promises less is not worth another look, and is not taken
-
-// Slots of pictures. Many unknowns are one picture times a number: even light and hidden sky share theirs, that of the
-// gain is the sum of what it brightens. Residuals stand among them because a pull is a product with the residual.
-#define SKY 0
-#define RESIDUAL 3
-#define EVEN 4
-#define TILT 5  // (3) normals: even light comes more from one side than from the other (EVEN_PLANES: with EVEN)
-#define SPECKLE 8
 #define FAINT 1e-4f  // of the noise: where no pixel of a tile may show more of a picture, it is left out there
 #define ODD 5  // lanes between pictures: at whole pages apart they would push each other out of the nearest cache
 

@@ -8,21 +8,6 @@
 // launch counts poses. Built with GROUP, the items of a group, and STRIPS, in how many parts products are summed.
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 
-#define NU 4.0f
-#define HERMITE 12
-#define BUMPS 9
-#define LEAST_LIT 1e-4f
-#define LONGEST_STEP 1.5
-#define FIRM 1e8  // times the curvature of an unknown that is to go nowhere else
-#define STILL 1e-2  // nats: a step that promises less is not worth another look, and is not taken
-
-// Slots of pictures, as evidence.cl has them. The sky's are the same for all poses.
-#define SKY 0
-#define RESIDUAL 3
-#define EVEN 4
-#define TILT 5
-#define SPECKLE 8
-
 #define TOGETHER barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 #define ITEM ((int)get_local_id(0))
 #define FOR_OWN(k, count) for (int k = ITEM; k < (count); k += GROUP)

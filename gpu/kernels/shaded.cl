@@ -35,23 +35,6 @@ static void clear(__global float *to, const int count)
     for (; k < count; ++k) to[k] = 0.0f;
 }
 
-// What a camera sees of a range.
-static Range seen_range(Range range, const Sizes sizes)
-{
-    if (sizes.lens == 0.0f) return range;
-    const float middle[2] = {sizes.middle_x, sizes.middle_y};
-    const float front = 1.0f / max(1.0f + sizes.lens * range.low[2], NEAREST);
-    const float back = 1.0f / max(1.0f + sizes.lens * range.high[2], NEAREST);
-    for (int i = 0; i < 2; ++i) {
-        const float low = range.low[i] - middle[i], high = range.high[i] - middle[i];
-        range.low[i] = middle[i] + low * (low < 0.0f ? front : back);
-        range.high[i] = middle[i] + high * (high < 0.0f ? back : front);
-    }
-    range.low[2] *= front;
-    range.high[2] *= back;
-    return range;
-}
-
 // The samples that the body may cover, and how many steps of depth a sample is long in keys.
 typedef struct { float near, steps; int left, right, top, bottom; } Window;
 

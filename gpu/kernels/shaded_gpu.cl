@@ -37,23 +37,6 @@ static void find_ranges(const Body body, __global const float *transforms, const
     }
 }
 
-// What a camera sees of a range.
-static Range range_through_lens(Range range, const Sizes sizes)
-{
-    if (sizes.lens == 0.0f) return range;
-    const float middle[2] = {sizes.middle_x, sizes.middle_y};
-    const float front = 1.0f / max(1.0f + sizes.lens * range.low[2], NEAREST);
-    const float back = 1.0f / max(1.0f + sizes.lens * range.high[2], NEAREST);
-    for (int i = 0; i < 2; ++i) {
-        const float low = range.low[i] - middle[i], high = range.high[i] - middle[i];
-        range.low[i] = middle[i] + low * (low < 0.0f ? front : back);
-        range.high[i] = middle[i] + high * (high < 0.0f ? back : front);
-    }
-    range.low[2] *= front;
-    range.high[2] *= back;
-    return range;
-}
-
 // Whole pixels that a body in this range may cover.
 static Window window_in(const Body body, const Sizes sizes, const Range range)
 {
@@ -198,7 +181,7 @@ static void draw_pose_together(const Body body, const Sizes sizes, Group g, cons
         for (int k = get_local_id(0); k < planes * side * side; k += GROUP) out[k] = 0.0f;
     Range near, lit;
     find_ranges(body, g.pose.transforms, step, sun_axes(normalize(sun)), ends, &near, &lit);
-    g.pose.window = window_in(body, sizes, range_through_lens(near, sizes));
+    g.pose.window = window_in(body, sizes, seen_range(near, sizes));
     const float scale = scale_of(part_matrix(g.pose.transforms, step));
     g.pose.light = light_in(body, sizes, lit, scale, sun, &g.columns, &g.rows);
     const Tile seen = g.pose.window.tile, map = {0, g.rows, 0, g.columns};

@@ -102,6 +102,23 @@ static Corners through_lens(Corners c, const Sizes sizes)
     return c;
 }
 
+// What a camera sees of a range.
+static Range seen_range(Range range, const Sizes sizes)
+{
+    if (sizes.lens == 0.0f) return range;
+    const float middle[2] = {sizes.middle_x, sizes.middle_y};
+    const float front = 1.0f / max(1.0f + sizes.lens * range.low[2], NEAREST);
+    const float back = 1.0f / max(1.0f + sizes.lens * range.high[2], NEAREST);
+    for (int i = 0; i < 2; ++i) {
+        const float low = range.low[i] - middle[i], high = range.high[i] - middle[i];
+        range.low[i] = middle[i] + low * (low < 0.0f ? front : back);
+        range.high[i] = middle[i] + high * (high < 0.0f ? back : front);
+    }
+    range.low[2] *= front;
+    range.high[2] *= back;
+    return range;
+}
+
 // Unit normals of sixteen faces, on the side that is seen.
 static void normals_of(const Corners c, const Sizes sizes, floats *n)
 {

@@ -31,6 +31,25 @@ class Followed:
     nuisance: Nuisance
 
 
+class _Known:
+    """What is followed, looked at once on each hill."""
+
+    def __init__(self, modes: Candidates) -> None:
+        self._modes = modes
+        self._last: tuple[Hill, Candidates] | None = None
+
+    def on(self, hill: Hill) -> Candidates:
+        """The best first, as a hill has them."""
+        if self._last is None or self._last[0] is not hill:
+            self._last = hill, scored(hill, self._modes)
+        return self._last[1]
+
+    def others_near(self, hill: Hill, some: Candidates) -> Candidates:
+        """Those not far behind the best of it, and no other look at any of it."""
+        near = some[np.flatnonzero(some.found > self.on(hill).found[0] - BEHIND)]
+        return unlike(near, self._modes.poses, hill.drawing.articulation)
+
+
 def rivals(
     body: Body,
     followed: Followed,
@@ -47,23 +66,19 @@ def rivals(
     """
     sight, nuisance, articulation = followed.sight, followed.nuisance, body.fine.articulation
 
-    def near(hill: Hill, some: Candidates) -> Candidates:
-        known = scored(hill, followed.modes).found[0]
-        return unlike(some[np.flatnonzero(some.found > known - BEHIND)], followed.modes.poses, articulation)
-
-    some = started(body, sight, bank, told, nuisance, rng, part, near)
+    known = _Known(followed.modes)
+    some = started(body, sight, bank, told, nuisance, rng, part, known.others_near)
     boxes = part.number == 0
     for stage in (MIDDLE, SHARP):
         if not len(some) and not boxes:
             return []
         hill = stage_hill(body.middle, sight, stage, nuisance, told, speckle=False)
-        some = near(hill, climbed(hill, scored(hill, some), stage.of(part)))
+        some = known.others_near(hill, climbed(hill, scored(hill, some), stage.of(part)))
     if told.towards_sun is None and len(some):  # no climb leads from a Sun in front of a flat body to one behind it
         some = joined([some, *under(hill, some, MORE_SUNS)])
     if boxes:
-        best = best_of(joined([scored(hill, followed.modes), some]), BOXED, articulation)
-        some = joined([some, boxed(hill, best)])
-    some = near(hill, best_of(some, SHARP.kept, articulation))
+        some = joined([some, boxed(hill, best_of(joined([known.on(hill), some]), BOXED, articulation))])
+    some = known.others_near(hill, best_of(some, SHARP.kept, articulation))
     if not len(some):
         return []
     if alike is not None:

@@ -17,7 +17,7 @@ from service.inference.model.candidates import (
     joined,
     scored,
     searched_joints,
-    turned_alike,
+    unlike,
 )
 from service.inference.model.drawing import Drawing
 from service.inference.model.expected import lit_box
@@ -140,8 +140,8 @@ def beside(
     if track.doubted and rng is not None:
         more.append(scattered(rng, hill, known[:1]))
     some = best_of(joined(more), SHARP.kept, articulation)
-    rivals = some[np.flatnonzero(some.found > known.found[0] - BEHIND)].poses
-    if shake or not all(turned_alike(rivals[k : k + 1], known.poses, articulation).any() for k in range(len(rivals))):
+    rivals = some[np.flatnonzero(some.found > known.found[0] - BEHIND)]
+    if shake or len(unlike(rivals, known.poses, articulation)):
         return best_of(joined([some, known]), SHARP.kept, articulation)
     return None
 
