@@ -22,7 +22,7 @@ import httpx
 
 from service.api import schemas
 from service.api.motion import PassMotion
-from service.api.objects import ObjectMotion, ObjectSpin, TrackedObject
+from service.api.object_schemas import ObjectMotion, ObjectSpin, TrackedObject
 from service.remote import calls
 from service.remote.async_client import AsyncClient
 from service.remote.calls import Arrays, Call, Image

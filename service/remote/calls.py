@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from service.api import schemas
-from service.api.objects import ObjectMotion, TrackedObject
+from service.api.object_schemas import ObjectMotion, TrackedObject
 from service.remote.errors import RefusedError, UnexpectedError
 from service.remote.media import media_type_of
 from service.remote.urdf_files import mesh_files
