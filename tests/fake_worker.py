@@ -1,23 +1,21 @@
 """A worker for fast tests: real decoding, no filter. The pose drifts by the frame's hash, so every frame and the
-state before it leave their mark on all later answers."""
+state before it leave their mark on all later answers. It starts fast: what few tests use is loaded when it is used."""
 
 import hashlib
 import json
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-import trimesh
 
 from gpu.mesh import Mesh, Part
 from service.errors import ImageMismatchError, MeshFileError, MissingBlobError
 from service.imaging.decode import decode_frame
 from service.imaging.split import SplitFrame, split_frames
 from service.inference.articulation import Articulation, Joint, Stage, hold
-from service.inference.spin.basins import PassMotion
 from service.inference.state import Estimate, FilterState, Mode, PoseEstimate, Poses, Spread
 from service.models.mesh_glb import mesh_glb
 from service.workers.base import (
@@ -37,10 +35,11 @@ from service.workers.base import (
     SmoothReport,
 )
 from service.workers.codec import decode as unpack
-from service.workers.motion import motion_of
 from service.workers.restoring import check_state
-from service.workers.smoothing import smooth_pass
 from service.workers.splitting import SplitJob
+
+if TYPE_CHECKING:
+    from service.inference.spin.basins import PassMotion
 
 CUBE = b"cube"
 """A model file that the fake takes: one joint, ``panel``."""
@@ -113,6 +112,8 @@ class FakeWorker:
         self.blobs.update(job.blobs)
         if job.model not in self.blobs:
             raise MissingBlobError.of([job.model])
+        import trimesh
+
         box = trimesh.creation.box((1.0, 1.0, 1.0))
         parts = tuple(Part(name, box.vertices, box.faces.astype(np.int32)) for name in ("body", "wing"))
         return mesh_glb(Mesh(parts, (1.0, 2.0, 3.0), (1.0, 1.0, 1.0), 0.9, True))
@@ -127,9 +128,13 @@ class FakeWorker:
         return replace(report, frame_index=state.frame_index, time_s=state.time_s, status=state.status)
 
     def smooth(self, job: SmoothJob) -> SmoothReport:
+        from service.workers.smoothing import smooth_pass
+
         return smooth_pass(job)
 
-    def motion(self, job: MotionJob) -> PassMotion:
+    def motion(self, job: MotionJob) -> "PassMotion":
+        from service.workers.motion import motion_of
+
         return motion_of(job, None)
 
     def wake(self) -> None:
