@@ -178,7 +178,7 @@ async def test_the_right_one_of_two_satellites_is_found(make_app, real):
     tracker = Tracker()
     articulation = tracker.prepare_model(ModelJob(files[real], "glb")).articulation
     tracker.close()
-    motion = Motion(frames=4, joint_start_deg=20.0)
+    motion = Motion(frames=3, joint_start_deg=20.0)
     simulated = SimulatedPass(load_mesh(files[real], "glb"), articulation, Scenario("", size=(96, 96), motion=motion))
     given = {"filter": {"particles": 300}, "light": {"sun": simulated.light(0).direction().tolist()}}
     async with running(make_app(Tracker)) as api:

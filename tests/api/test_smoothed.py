@@ -68,7 +68,7 @@ async def simulated_session(api) -> str:
     request = {"model_id": model["model_id"], "filter": {"particles": 200}, "light": {"sun": [0.0, 0.0, -1.0]}}
     session_id = (await api.http.post("/v1/sessions", json=request)).json()["session_id"]
     tracker = Tracker()
-    simulated = SimulatedPass(*tracker_model(tracker), Scenario("", size=(96, 96), motion=Motion(frames=6, joints=())))
+    simulated = SimulatedPass(*tracker_model(tracker), Scenario("", size=(96, 96), motion=Motion(frames=5, joints=())))
     tracker.close()
     for image in simulated.backgrounds():
         await api.http.post(f"/v1/sessions/{session_id}/background", content=encode_png(image), headers=PNG)
@@ -100,7 +100,7 @@ async def test_a_pass_is_smoothed_although_its_particles_are_gone(make_app):
     assert page == smoothed[3:5]
     told = [float(row["qw"]) for row in csv.DictReader(io.StringIO(table))]
     assert told == [e["best"]["orientation"]["w"] for e in smoothed] != [e["best"]["orientation"]["w"] for e in plain]
-    assert [e["smoothed"] for e in smoothed] == [True] * 6
+    assert [e["smoothed"] for e in smoothed] == [True] * 5
     kept = ("index", "time", "status", "log_evidence", "particles", "ess", "scorer", "camera")
     for before, after in zip(plain, smoothed, strict=True):
         assert {name: before[name] for name in kept} == {name: after[name] for name in kept}

@@ -62,7 +62,7 @@ def test_kills_lose_nothing_and_repeat_nothing(server):
 
     The long form: SKYPOSE_TEST_KILL_FRAMES=2000 (about two kills in three frames).
     """
-    given = fake_pass(int(os.environ.get("SKYPOSE_TEST_KILL_FRAMES", "8")))
+    given = fake_pass(int(os.environ.get("SKYPOSE_TEST_KILL_FRAMES", "5")))
     expected = track(server("calm", worker="fake_worker:FakeWorker"), given, name="body.glb")
     target = server("killed", worker="fake_worker:SlowWorker")
     dice = random.Random(1)

@@ -237,6 +237,7 @@ def test_sqlite_counts_rows_and_pages_in_use(tmp_path):
     assert after.rows == 18 + 1 - 1  # of session two nothing is left there
 
 
+@pytest.mark.long
 def test_a_real_service_is_measured(tmp_path):
     small = ["--particles", "60", "--size", "64x64", "--rate", "0.5", "--seconds", "2", "--most-sessions", "1"]
     out = tmp_path / "rows.json"

@@ -18,7 +18,7 @@ from service.workers.motion import motion_of
 from service.workers.panels import sun_tracking
 from service.workers.tracker import Tracker
 
-FRAMES, RATE = 30, np.deg2rad([0.8, 0.5, -0.3])
+FRAMES, RATE = 20, np.deg2rad([0.8, 0.5, -0.3])
 SUN = np.array([0.6, -0.64, 0.48])
 WING = SessionConfig(joints=JointParams(free="all"))
 
