@@ -99,7 +99,7 @@ FRAMES = {
 async def test_bad_frames_leave_the_session_as_it_was(api):
     model_id = (await api.http.post("/v1/models", files={"file": ("box.stl", GIVEN.mesh)})).json()["model_id"]
     small = {"particles": 100}
-    body = {"model_id": model_id, "filter": small}
+    body = {"model_id": model_id, "filter": small, "light": {"sun": [0.0, 0.0, -1.0]}}
     session_id = (await api.http.post("/v1/sessions", json=body)).json()["session_id"]
     here = f"/v1/sessions/{session_id}"
     early = await api.http.post(f"{here}/frames", content=GOOD, headers=PNG)

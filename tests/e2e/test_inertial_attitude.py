@@ -82,7 +82,7 @@ async def test_pointing_adds_less_than_a_tenth_of_a_degree(api, site, mount, mir
         "site_longitude_deg": longitude,
     }
     model = (await api.model(demo_satellite(), "demo.glb")).json()["model_id"]
-    body = {"model_id": model, "camera": camera, "filter": SEED}
+    body = {"model_id": model, "camera": camera, "filter": SEED, "light": {"sun": [0.0, 0.0, -1.0]}}
     here = "/v1/sessions/" + (await api.http.post("/v1/sessions", json=body)).json()["session_id"]
     for seed in range(3):
         await api.http.post(f"{here}/background", content=png(sky(100 + seed).astype(np.uint8)), headers=PNG)
