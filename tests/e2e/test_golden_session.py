@@ -1,9 +1,9 @@
-"""A session that an earlier state of this program tracked, with its real tracker, goes on from its checkpoint.
+"""A session that an earlier state of this program tracked, with its real tracker, is tracked again.
 
-``python -m tests.e2e.test_golden_session NAME`` records a new one; old ones stay. What was told is told as it was; the
-rest is tracked anew. Where code and device are those of the recording, every bit must be the same; elsewhere the
-silhouettes must agree (``LEAST_OVERLAP``), and the places (``PLACE_PX``, ``SCALE``). Session-1 was tracked by its
-outline, a filter that is no more.
+``python -m tests.e2e.test_golden_session NAME`` records a new one; old ones stay. Where code and device are those of
+the recording, every bit must be the same; elsewhere the silhouettes must agree (``LEAST_OVERLAP``), and the places
+(``PLACE_PX``, ``SCALE``). A checkpoint of the recording, taken in the middle, must go on in the same way. Session-1 was
+tracked by its outline, a filter that is no more: its first half is told as it was, and the rest is tracked anew.
 """
 
 import asyncio
@@ -42,20 +42,23 @@ SCALE = 0.08  # outlines alone, in session-1, told one that is 7 % too large her
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("file", sorted(GOLDEN.glob("*.npz")), ids=lambda file: file.stem)
-async def test_a_golden_session_goes_on(file, tmp_path):
+async def test_golden_session_replays(file, tmp_path):
     with np.load(file) as recorded:
         given = {name: recorded[name].tobytes() for name in recorded}
     told = json.loads(given["estimates"])
     session = json.loads(given["session"])
-    async with application(tmp_path) as api:
-        await begun(api, given)
-        gone_on = await go_on(api, given, given["checkpoint"])
-    same = session["code"] == code() and session["device"] == device(gone_on)
+    async with application(tmp_path / "whole") as api:
+        whole, checkpoint = await track(api, given)
+    async with application(tmp_path / "again") as api:
+        assert (await track(api, given))[0] == whole, "not the same on one device"
+        assert await go_on(api, given, checkpoint) == whole, "a checkpoint does not go on as the session would have"
+        rest = await go_on(api, given, given["checkpoint"])
+    same = session["code"] == code() and session["device"] == device(whole)
     print("bit for bit" if same else f"within tolerance: recorded with {session['device']}")
-    assert gone_on[:MIDDLE] == told[:MIDDLE], "the recorded half is told as it was"
+    assert rest[:MIDDLE] == told[:MIDDLE], "the recorded half is told as it was"
     if same:
-        assert gone_on == told
-    for mine, theirs in zip(gone_on[MIDDLE:], told[MIDDLE:], strict=True):
+        assert whole == rest == told
+    for mine, theirs in zip(whole + rest[MIDDLE:], told + told[MIDDLE:], strict=True):
         assert np.hypot(*(mine["best"][n] - theirs["best"][n] for n in ("x_px", "y_px"))) < PLACE_PX
         assert abs(mine["best"]["scale_px"] / theirs["best"]["scale_px"] - 1) < SCALE
         assert overlap(given["mesh"], mine["best"], theirs["best"]) > LEAST_OVERLAP
@@ -65,16 +68,11 @@ def application(folder: Path):
     return running(create_app(Settings(data_dir=folder, log_level="error"), InlineTransport(Tracker)))
 
 
-async def begun(api: Api, given: dict[str, bytes]) -> str:
-    """Where a session of the recorded mesh is, without a frame."""
-    model = (await api.http.post("/v1/models", files={"file": ("body.stl", given["mesh"])})).json()
-    body = {"model_id": model["model_id"], **CONFIG}
-    return f"/v1/sessions/{(await api.http.post('/v1/sessions', json=body)).json()['session_id']}"
-
-
 async def track(api: Api, given: dict[str, bytes]) -> tuple[list[dict[str, Any]], bytes]:
     """The whole session; and its checkpoint in the middle."""
-    here = await begun(api, given)
+    model = (await api.http.post("/v1/models", files={"file": ("body.stl", given["mesh"])})).json()
+    body = {"model_id": model["model_id"], **CONFIG}
+    here = f"/v1/sessions/{(await api.http.post('/v1/sessions', json=body)).json()['session_id']}"
     for name in sorted(name for name in given if name.startswith("background")):
         (await api.http.post(f"{here}/background", content=given[name], headers=PNG)).raise_for_status()
     checkpoint = b""
