@@ -84,12 +84,15 @@ class LightEvidence:
         """
         return self._run(planes, n_groups, terms if isinstance(terms, Sequence) else [terms], rounds, None, which)
 
-    def details(self, planes: Numbers, n_groups: int, terms: Terms, rounds: int) -> tuple[Answers, list[Details]]:
+    def details(
+        self, planes: Numbers, n_groups: int, terms: Terms, rounds: int, which: Sequence[int] | None = None
+    ) -> tuple[Answers, list[Details]]:
         """The same, and what each pose's curvature is made of."""
-        n, n_planes, side, _ = planes.shape
+        _, n_planes, side, _ = planes.shape
+        n = len(planes) if which is None else len(which)
         unknowns, pixels = self._unknowns(n_planes, terms), side * side
         out = np.empty((n, LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 4)), np.float32)
-        answers = self._run(planes, n_groups, [terms], rounds, out)
+        answers = self._run(planes, n_groups, [terms], rounds, out, which)
         always = unknowns - (n_planes - EVEN_PLANES)
         return answers, [_details(row, unknowns, always, side) for row in out]
 

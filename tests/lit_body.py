@@ -9,6 +9,7 @@ from gpu.evidence import open_evidence
 from gpu.mesh import Mesh, assemble
 from gpu.raw_part import RawPart
 from gpu.shaded import open_shaded
+from gpu.slopes import open_slopes
 from gpu.surface_groups import surface_groups
 from service.inference.articulation import Articulation, Joint, Stage
 from service.inference.model.drawing import Drawing, Quality, View
@@ -47,7 +48,7 @@ def lit_body() -> Drawing:
     """The mesh on a CPU, its panel free."""
     mesh, articulation = lit_mesh()
     shaded = open_shaded(mesh, surface_groups(mesh))
-    return Drawing(shaded, open_evidence(), articulation, shaded.n_groups, mesh.radius)
+    return Drawing(shaded, open_evidence(), articulation, shaded.n_groups, mesh.radius, open_slopes())
 
 
 def pose(turn=(0.4, -0.7, 0.3), joint=35.0, middle=(32.0, 31.0), rim_px=24.0) -> Poses:

@@ -283,7 +283,7 @@ static void draw_blurred(const Scene s, const Room r, __global const float *plan
 {
     clear(out, around, s.side);
     for (int c = 0; c < s.components; ++c) {
-        blur(plane, box, s.side, weights[c], taps, radii[c], r.between, s.length, out);
+        sweep(plane, box, s.side, weights[c], taps, taps, radii[c], r.between, s.length, out);
         taps += 2 * radii[c] + 1;
     }
 }

@@ -85,10 +85,11 @@ static float dot_in(__global const float *a, __global const float *b, const Box 
     return sum_of(sum);
 }
 
-// Adds weight * (picture blurred along both axes by 2 radius + 1 taps) to `out`. `between` has `side` rows of `length`
-// numbers: the picture blurred downwards, with room on both sides for what the blur across reads beyond it.
-static void blur(__global const float *picture, const Box box, const int side, const float weight,
-    __global const float *taps, const int radius, __global float *between, const int length, __global float *out)
+// Adds weight * (picture swept by 2 radius + 1 taps along each axis) to `out`. `between` has `side` rows of `length`
+// numbers: the picture swept downwards, with room on both sides for what the sweep across reads beyond it.
+static void sweep(__global const float *picture, const Box box, const int side, const float weight,
+    __global const float *down, __global const float *taps, const int radius, __global float *between,
+    const int length, __global float *out)
 {
     const Box wide = widened(box, radius, side);
     const int margin = (radius + LANES - 1) & -LANES;
@@ -99,7 +100,7 @@ static void blur(__global const float *picture, const Box box, const int side, c
         for (int k = box.left; k < box.right; k += LANES) {
             floats sum = 0.0f;
             for (int r = first; r <= last; ++r)
-                sum = fma((floats)taps[r - row + radius], floats_at(picture + r * side + k), sum);
+                sum = fma((floats)down[r - row + radius], floats_at(picture + r * side + k), sum);
             put(line + k, weight * sum);
         }
         for (int k = box.right; k < wide.right + margin; k += LANES) put(line + k, 0.0f);

@@ -10,6 +10,7 @@ from gpu.device import first_kind
 from gpu.evidence import LightEvidence, open_evidence
 from gpu.mesh import Mesh
 from gpu.shaded import open_shaded
+from gpu.slopes import LightSlopes, open_slopes
 from gpu.surface_groups import surface_groups
 from service.inference.articulation import Articulation
 from service.inference.model.drawing import Drawing
@@ -28,9 +29,12 @@ class LitBody:
         with ExitStack() as opening:
             light = open_evidence(_kind())
             opening.callback(light.close)
-            rough = _drawing(mesh, articulation, light, ROUGH_GROUPS, ROUGH_RADIUS_PX, opening)
-            middle = _drawing(mesh, articulation, light, MIDDLE_GROUPS, MIDDLE_RADIUS_PX, opening)
-            fine = _drawing(mesh, articulation, light, None, None, opening)
+            slopes = open_slopes(_kind())
+            opening.callback(slopes.close)
+            shared = articulation, light, slopes
+            rough = _drawing(mesh, *shared, ROUGH_GROUPS, ROUGH_RADIUS_PX, opening)
+            middle = _drawing(mesh, *shared, MIDDLE_GROUPS, MIDDLE_RADIUS_PX, opening)
+            fine = _drawing(mesh, *shared, None, None, opening)
             self.body = Body(rough, middle, fine)
             self._held = opening.pop_all()
 
@@ -49,6 +53,7 @@ def _drawing(
     mesh: Mesh,
     articulation: Articulation,
     light: LightEvidence,
+    slopes: LightSlopes,
     most: int | None,
     radius_px: float | None,
     held: ExitStack,
@@ -59,7 +64,7 @@ def _drawing(
         drawn, groups = coarse_mesh(mesh, groups, radius_px)
     shaded = open_shaded(drawn, groups, kind=_kind())
     held.callback(shaded.close)
-    return Drawing(shaded, light, articulation, int(groups.max()) + 1, mesh.radius)
+    return Drawing(shaded, light, articulation, int(groups.max()) + 1, mesh.radius, slopes)
 
 
 def _kind() -> str:

@@ -14,7 +14,7 @@ from service.inference.estimate import short_way, tangent
 from service.inference.model.drawing import Drawing
 from service.inference.model.stages import Stage
 from service.inference.numerics.gauss_newton import ascend
-from service.inference.numerics.hill import Hill
+from service.inference.numerics.hill import Hill, Looked, looked
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate
 from service.inference.state import Array, Poses
@@ -33,12 +33,14 @@ class Candidates:
     poses: Poses
     suns: Array  # (N, 3)
     found: Array  # (N,) log posterior at the last stage; -inf: not looked at
+    looked: Looked | None = None  # at that stage
 
     def __len__(self) -> int:
         return len(self.found)
 
     def __getitem__(self, index: NDArray[np.intp] | slice) -> Candidates:
-        return Candidates(self.poses[index], self.suns[index], self.found[index])
+        kept = None if self.looked is None else self.looked[index]
+        return Candidates(self.poses[index], self.suns[index], self.found[index], kept)
 
 
 def scored(hill: Hill, some: Candidates) -> Candidates:
@@ -48,13 +50,22 @@ def scored(hill: Hill, some: Candidates) -> Candidates:
     return Candidates(some.poses, some.suns, found)[np.argsort(-found)]
 
 
+def looked_at(hill: Hill, some: Candidates) -> tuple[Candidates, Looked]:
+    """``scored``, the light of each at its best and kept: for a few, that climb on. And the best one's."""
+    at = looked(hill, some.poses, some.suns)
+    found = at.log_evidence + log_prior(some.poses, some.suns, hill.told)
+    order = np.argsort(-found)
+    return Candidates(some.poses, some.suns, found, at)[order], at[order[:1]]
+
+
 def climbed(hill: Hill, some: Candidates, stage: Stage, hopeless: float = np.inf) -> Candidates:
     """The best basins after a few steps of Gauss-Newton, best first; none of none."""
     if not len(some):
         return some
     articulation = hill.drawing.articulation
     some = best_of(some, stage.kept, articulation)
-    out = ascend(hill, some.poses, some.suns, steps=stage.steps, covariance="none", hopeless=hopeless)
+    given = hill, some.poses, some.suns
+    out = ascend(*given, steps=stage.steps, covariance="none", hopeless=hopeless, start=some.looked)
     moved = Candidates(
         concatenate(*[one.pose for one in out]),
         np.stack([one.sun for one in out]),

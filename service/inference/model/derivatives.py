@@ -10,10 +10,9 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.inference.model.drawing import Drawing, Images, Quality, View
-from service.inference.model.spread import PointSpread, spread, spread_slopes
+from service.inference.model.spread import PointSpread, gaussians_and_slopes, spread, spread_slopes
 from service.inference.pose import concatenate, retract, rotation_matrices
 from service.inference.state import Array, Poses
 
@@ -59,28 +58,89 @@ def derivatives(
     """
     n, j = len(poses), poses.joints.shape[1]
     turn, joint = steps_of(drawing, view, difference, poses)
-    if view.lens is not None:
+    rotation = rotation_matrices(poses.quaternion)
+    if view.lens is None:
+        turned = 2 if sun_free else 3  # axes of the camera about which a turn is drawn
+        steps = np.concatenate([np.repeat(turn[:, None], turned, 1), joint], axis=1)
+        moves = np.zeros((n, turned + j, 6 + j))
+        moves[:, :turned, :3] = turn[:, None, None] * rotation[:, :turned]  # about the camera's, seen from the body
+        moves[:, turned + np.arange(j), 6 + np.arange(j)] = joint
+    else:
         place = np.full((n, 2), difference * view.binning)
         steps = np.concatenate([np.repeat(turn[:, None], 3, 1), place, turn[:, None], joint], axis=1)
-        return _through_lens(drawing, view, quality, blur, poses, suns, coefficients, steps, sun_free)
-    rotation = rotation_matrices(poses.quaternion)
-    turned = 2 if sun_free else 3  # axes of the camera about which a turn is drawn
-    suns_moved = 2 if sun_free else 0
+        moves = steps[:, :, None] * np.eye(6 + j)
+    pairs, here = _drawn(drawing, view, quality, poses, suns, coefficients, moves, sun_free)
+    gaps = np.concatenate([steps, np.full((n, pairs.shape[2] - steps.shape[1]), _SUN_STEP)], axis=1)
+    if view.lens is None:
+        mixes = _mixes(rotation, suns, j, view, sun_free)
+    else:
+        mixes = np.tile(np.eye(gaps.shape[1]), (n, 1, 1))
+    mixes[:, :, : gaps.shape[1]] *= 0.5 / gaps[:, None]
+    middles = (poses.position - np.asarray(view.origin)) / view.binning
+    if drawing.slopes is None:
+        return mixed(pairs, here, middles, mixes, blur)
+    gaussians = gaussians_and_slopes(view.side, *blur)
+    return drawing.slopes.mixed(pairs, here, middles, mixes, gaussians)
+
+
+def _drawn(
+    drawing: Drawing,
+    view: View,
+    quality: Quality,
+    poses: Poses,
+    suns: Array,
+    coefficients: Images,
+    moves: Array,
+    sun_free: bool,
+) -> tuple[Images, Images | None]:
+    """(N, 2, K, S, S) on both sides of ``moves`` (N, K', 6 + J), and of the Sun's where it is free; and between them.
+
+    Through a lens nothing is asked of what is between.
+    """
+    n, turned, d = moves.shape
+    drawn = turned + (2 if sun_free else 0)
+    both = np.zeros((n, 2, drawn, d))
+    both[:, 0, :turned], both[:, 1, :turned] = moves, -moves
+    moved = retract(poses[np.repeat(np.arange(n), 2 * drawn)], both.reshape(-1, d))
+    moved_suns = _suns_of(suns, drawn, sun_free).reshape(-1, 3)
+    shares = np.repeat(coefficients, 2 * drawn, axis=0)
+    if view.lens is None:
+        moved, moved_suns = concatenate(moved, poses), np.concatenate([moved_suns, suns])
+        shares = np.concatenate([shares, coefficients])
+    images = drawing.combined(moved, moved_suns, shares, view, quality)
+    pairs = images[: 2 * drawn * n].reshape(n, 2, drawn, view.side, view.side)
+    return pairs, images[2 * drawn * n :] if view.lens is None else None
+
+
+def _mixes(rotation: Array, suns: Array, j: int, view: View, sun_free: bool) -> Array:
+    """(N, D, K + 4) what each derivative is of the K that are drawn and of the four of ``_of_places``.
+
+    Turns about the camera's axes are told as turns of the body; the third is the picture's and the Sun's.
+    """
+    n, turned, suns_moved = len(suns), 2 if sun_free else 3, 2 if sun_free else 0
     drawn = turned + j + suns_moved
-    moves = np.zeros((n, 2, drawn, 6 + j))
-    for k in range(turned):
-        moves[:, 0, k, :3] = turn[:, None] * rotation[:, k]  # about the camera's axis k, seen from the body
-    moves[:, 0, turned + np.arange(j), 6 + np.arange(j)] = joint
-    moves[:, 1] = -moves[:, 0]
-    moved_suns = _suns_of(suns, drawn, sun_free)
-    start = poses[np.repeat(np.arange(n), 2 * drawn)]
-    moved = concatenate(retract(start, moves.reshape(-1, 6 + j)), poses)
-    shares = np.concatenate([np.repeat(coefficients, 2 * drawn, axis=0), coefficients])
-    images = drawing.combined(moved, np.concatenate([moved_suns.reshape(-1, 3), suns]), shares, view, quality)
-    images, here = images[:-n].reshape(n, 2, drawn, view.side, view.side), images[-n:]
-    gaps = np.concatenate([np.repeat(turn[:, None], turned, 1), joint, np.full((n, suns_moved), _SUN_STEP)], axis=1)
-    slopes = spread((images[:, 0] - images[:, 1]) * _per(0.5 / gaps), *blur)
-    return _assembled(slopes, _of_places(here, blur, poses, view), rotation, suns, view, sun_free, j)
+    camera = np.zeros((n, 3, drawn + 4))
+    camera[:, range(turned), range(turned)] = 1.0
+    if sun_free:
+        aside = np.stack([suns[:, 1], -suns[:, 0], np.zeros(n)], axis=1)  # suns x the line of sight
+        camera[:, 2, turned + j : drawn] = [across(sun) @ moved for sun, moved in zip(suns, aside, strict=True)]
+        camera[:, 2, drawn + 3] = 1.0
+    out = np.zeros((n, 6 + j + suns_moved, drawn + 4))
+    out[:, :3] = np.swapaxes(rotation, 1, 2) @ camera
+    out[:, [3, 4], [drawn, drawn + 1]] = 1.0 / view.binning
+    out[:, 5, drawn + 2] = 1.0
+    out[:, range(6, 6 + j + suns_moved), range(turned, drawn)] = 1.0
+    return out
+
+
+def mixed(pairs: Images, here: Images | None, middles: Array, mixes: Array, blur: tuple[PointSpread, float]) -> Images:
+    """(N, D, S, S): the twin of ``gpu.slopes.LightSlopes.mixed``, which says what it is given."""
+    parts = spread(pairs[:, 0] - pairs[:, 1], *blur)
+    if here is not None:
+        parts = np.concatenate([parts, _of_places(here, middles, blur)], axis=1)
+    n, count, side, _ = parts.shape
+    out = mixes.astype(np.float32) @ parts.reshape(n, count, side * side)
+    return np.asarray(out, np.float32).reshape(n, -1, side, side)
 
 
 def _suns_of(suns: Array, drawn: int, sun_free: bool) -> Array:
@@ -92,59 +152,12 @@ def _suns_of(suns: Array, drawn: int, sun_free: bool) -> Array:
     return out
 
 
-def _through_lens(
-    drawing: Drawing,
-    view: View,
-    quality: Quality,
-    blur: tuple[PointSpread, float],
-    poses: Poses,
-    suns: Array,
-    coefficients: Images,
-    steps: Array,
-    sun_free: bool,
-) -> Images:
-    """``derivatives`` of which all are differences; ``steps`` (N, 6 + J) of the pose."""
-    n, d = steps.shape
-    suns_moved = 2 if sun_free else 0
-    drawn = d + suns_moved
-    moves = np.zeros((n, 2, drawn, d))
-    moves[:, 0, np.arange(d), np.arange(d)] = steps
-    moves[:, 1] = -moves[:, 0]
-    moved = retract(poses[np.repeat(np.arange(n), 2 * drawn)], moves.reshape(-1, d))
-    shares = np.repeat(coefficients, 2 * drawn, axis=0)
-    images = drawing.combined(moved, _suns_of(suns, drawn, sun_free).reshape(-1, 3), shares, view, quality)
-    images = images.reshape(n, 2, drawn, view.side, view.side)
-    gaps = np.concatenate([steps, np.full((n, suns_moved), _SUN_STEP)], axis=1)
-    return spread((images[:, 0] - images[:, 1]) * _per(0.5 / gaps), *blur)
-
-
-def _of_places(here: Images, blur: tuple[PointSpread, float], poses: Poses, view: View) -> Images:
+def _of_places(here: Images, middles: Array, blur: tuple[PointSpread, float]) -> Images:
     """(N, 4, S, S): what K * I loses by x and y (patch px), by growth, and by a turn of the picture from x to y."""
-    middle = (poses.position - np.asarray(view.origin)) / view.binning
-    grid = np.arange(view.side) + 0.5
-    x = (grid[None, None, :] - middle[:, 0, None, None]).astype(np.float32)
-    y = (grid[None, :, None] - middle[:, 1, None, None]).astype(np.float32)
+    grid = np.arange(here.shape[-1]) + 0.5
+    x = (grid[None, None, :] - middles[:, 0, None, None]).astype(np.float32)
+    y = (grid[None, :, None] - middles[:, 1, None, None]).astype(np.float32)
     blurred, dx, dy = spread_slopes(np.stack([here, x * here, y * here], axis=1), *blur)
     return np.stack(
         [-dx[:, 0], -dy[:, 0], 2 * blurred[:, 0] - dx[:, 1] - dy[:, 2], dx[:, 2] - dy[:, 1]], axis=1, dtype=np.float32
     )
-
-
-def _assembled(
-    slopes: Images, places: Images, rotation: Array, suns: Array, view: View, sun_free: bool, j: int
-) -> Images:
-    """Turns about the camera's axes are told as turns of the body; the third is the picture's and the Sun's."""
-    n, _, side, _ = slopes.shape
-    turns = slopes[:, : 2 if sun_free else 3]
-    if sun_free:
-        turned = np.stack([suns[:, 1], -suns[:, 0], np.zeros(n)], axis=1)  # suns x the line of sight
-        aside = np.stack([across(sun) @ moved for sun, moved in zip(suns, turned, strict=True)]).astype(np.float32)
-        third = places[:, 3] + np.einsum("nk,nkyx->nyx", aside, slopes[:, -2:])
-        turns = np.concatenate([turns, third[:, None]], axis=1)
-    body = np.matmul(np.swapaxes(rotation, 1, 2).astype(np.float32), turns.reshape(n, 3, -1)).reshape(n, 3, side, side)
-    more = slopes[:, -(j + 2) :] if sun_free else slopes[:, 3:]
-    return np.concatenate([body, places[:, :2] / np.float32(view.binning), places[:, 2:3], more], axis=1)
-
-
-def _per(values: Array) -> NDArray[np.float32]:
-    return np.asarray(values, np.float32)[..., None, None]

@@ -72,8 +72,25 @@ class Evidence(Protocol):
         """(N, Q, S, S) planes -> ``log_evidence``, ``chi2`` (N,) and ``coefficients`` (N, Q)."""
         ...
 
-    def details(self, planes: Images, n_groups: int, terms: Any, rounds: int) -> tuple[Any, Any]:
-        """The same of one pose, and what its curvature is made of."""
+    def details(
+        self, planes: Images, n_groups: int, terms: Any, rounds: int, which: Sequence[int] | None = None
+    ) -> tuple[Any, Any]:
+        """The same, and what each pose's curvature is made of."""
+        ...
+
+
+class Slopes(Protocol):
+    """``gpu.slopes.LightSlopes``; its twin is ``service.inference.model.derivatives.mixed``."""
+
+    def mixed(
+        self,
+        pairs: Images,
+        here: Images | None,
+        middles: Array,
+        mixes: Array,
+        blur: Sequence[tuple[float, Images, Images]],
+    ) -> Images:
+        """(N, D, S, S) derivatives of N blurred pictures."""
         ...
 
 
@@ -140,6 +157,7 @@ class Drawing:
     articulation: Articulation
     n_groups: int
     radius: float  # model units
+    slopes: Slopes | None = None  # None: the twin
 
     def transforms(self, poses: Poses, view: View) -> NDArray[np.float32]:
         """(N, P, 3, 4) to the patch's own pixels."""

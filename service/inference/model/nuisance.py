@@ -9,8 +9,7 @@ import numpy as np
 from service.inference.model import prior
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread
-from service.inference.numerics.hill import Hill
-from service.inference.state import Array, Poses
+from service.inference.numerics.hill import Hill, Looked
 
 _WIDTHS = tuple(float(v) for v in 0.4 * 10 ** (np.arange(20) / 11))  # numerical: grid, to 21 px of the frame: enlarged
 _SHARES = (0.0, 0.25, 0.5, 0.7, 0.85, 0.95)  # numerical: grid: of the width's square that is the wings'
@@ -45,19 +44,19 @@ class Nuisance:
         return None if self.photon is None else self.photon / binning**2
 
 
-def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
+def best_spread(at: Looked, start: Nuisance) -> Nuisance:
     """The point spread under which a few poses explain the frame best, by steps over a grid.
 
     None through which the frame's own sharpest light could not come: a mesh that is wrong asks for a blur.
     The frame's own low pass stays what the hill has: all are compared on the same data.
     """
-    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
+    hill = at.hill
 
     def values(places: list[tuple[int, int]]) -> list[float]:
         tried = [start.spread_by(_WIDTHS[width], _SHARES[share]) for width, share in places]
         scenes = [hill.scene.under(point_spread=one.point_spread(hill.view.binning)) for one in tried]
-        found = hill.log_evidences_under(planes, [(scene, None) for scene in scenes])
-        return [float(value) for value in found.max(axis=1) + [_log_prior(one.core, one.wings) for one in tried]]
+        found = at.log_evidences(scenes).max(axis=1) + [_log_prior(one.core, one.wings) for one in tried]
+        return [float(value) for value in found]
 
     def possible(place: tuple[int, int]) -> bool:
         width, share = place
@@ -85,22 +84,21 @@ def best_spread(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisa
     return start.spread_by(_WIDTHS[here[0]], _SHARES[here[1]])
 
 
-def best_discrepancy(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
+def best_discrepancy(at: Looked, start: Nuisance) -> Nuisance:
     """The discrepancy under which the best pose explains the frame best, prior included."""
-    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
-    found = hill.log_evidences_under(planes, [(hill.scene.under(discrepancy=tau), None) for tau in _DISCREPANCIES])
+    found = at.log_evidences([at.hill.scene.under(discrepancy=tau) for tau in _DISCREPANCIES]).max(axis=1)
     deviations = np.log(np.array(_DISCREPANCIES) / prior.DISCREPANCY) / prior.DISCREPANCY_LOG_SIGMA
-    values = found.max(axis=1) - 0.5 * deviations**2
+    values = found - 0.5 * deviations**2
     return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
 
 
-def best_photon(hill: Hill, poses: Poses, suns: Array, start: Nuisance) -> Nuisance:
+def best_photon(at: Looked, start: Nuisance) -> Nuisance:
     """The photon transfer under which the best pose explains the frame best, prior included."""
-    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
-    seen = hill.scene.photon if hill.scene.seen_photon is None else hill.scene.seen_photon
-    found = hill.log_evidences_under(planes, [(hill.scene.under(photon=seen * share), None) for share in _PHOTONS])
-    values = found.max(axis=1) + [_log_prior_of_photon(share) for share in _PHOTONS]
-    return replace(start, photon=seen * _PHOTONS[int(np.argmax(values))] * hill.view.binning**2)
+    scene = at.hill.scene
+    seen = scene.photon if scene.seen_photon is None else scene.seen_photon
+    found = at.log_evidences([scene.under(photon=seen * share) for share in _PHOTONS]).max(axis=1)
+    values = found + [_log_prior_of_photon(share) for share in _PHOTONS]
+    return replace(start, photon=seen * _PHOTONS[int(np.argmax(values))] * at.hill.view.binning**2)
 
 
 def neighbour(now: Nuisance, turn: int) -> Nuisance:

@@ -15,6 +15,7 @@ from service.inference.model.candidates import (
     climbed,
     distinct,
     joined,
+    looked_at,
     scored,
     searched_joints,
     unlike,
@@ -41,7 +42,7 @@ from service.inference.model.stages import (
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.model.templates import Bank, directions
 from service.inference.numerics.gauss_newton import ascend, stepped
-from service.inference.numerics.hill import Hill, Refined
+from service.inference.numerics.hill import Hill, Looked, Refined, looked
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate
 from service.inference.state import Poses
@@ -117,7 +118,7 @@ def search(
     hill = stage_hill(body.middle, sight, MIDDLE, nuisance, told, speckle=False)
     more = 1 + min(1, some.poses.joints.shape[1])
     some = climbed(hill, scored(hill, some), replace(MIDDLE, kept=more * MIDDLE.kept))
-    nuisance = best_spread(hill, some.poses[:3], some.suns[:3], nuisance)
+    nuisance = best_spread(looked(hill, some.poses[:3], some.suns[:3]), nuisance)
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
@@ -192,15 +193,15 @@ def finished(
     body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior, shake: bool = True
 ) -> Found:
     """The best basins at the finest stage: point spread and discrepancy found at the best of them, then held."""
-    hill = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
-    some = scored(hill, some)
-    nuisance = best_spread(hill, some.poses[:1], some.suns[:1], nuisance)
+    some, lead = looked_at(stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True), some)
+    nuisance = best_spread(lead, nuisance)
     clear = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
     some = climbed(clear, some, CLEAR, HOPELESS)
-    some = scored(stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), some)
+    some, lead = looked_at(stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), some)
     some = some[: FINEST.kept]
-    hill, nuisance = finest_hill(body, sight, some, nuisance, told)
-    out = ascend(hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
+    hill, nuisance = finest_hill(body, sight, some, lead, nuisance, told)
+    given = hill, some.poses, some.suns
+    out = ascend(*given, steps=FINEST.steps, covariance="last", hopeless=HOPELESS, start=some.looked)
     out.sort(key=lambda one: -one.log_posterior)
     out = [one for one in out if one.log_posterior > out[0].log_posterior - HOPELESS]
     out += shaken(clear, hill, out[0]) if shake else []
@@ -210,16 +211,16 @@ def finished(
 
 
 def finest_hill(
-    body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior
+    body: Body, sight: Sight, some: Candidates, lead: Looked, nuisance: Nuisance, told: PosePrior
 ) -> tuple[Hill, Nuisance]:
     """The finest stage under the point spread, discrepancy and photons that explain the frame best at the best of some.
 
     The discrepancy twice: bright light that is noisy may be either's.
     """
-    poses, suns = some.poses[:1], some.suns[:1]
     for better in (best_spread, best_discrepancy, best_photon, best_discrepancy):
         hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
-        nuisance = better(hill, poses, suns, nuisance)
+        lead = lead.on(hill) if lead.is_drawn_on(hill) else looked(hill, some.poses[:1], some.suns[:1])
+        nuisance = better(lead, nuisance)
     return stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True), nuisance
 
 

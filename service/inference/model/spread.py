@@ -74,13 +74,18 @@ def spread(images: Images, point_spread: PointSpread, low_pass: float) -> Images
 def spread_slopes(images: Images, point_spread: PointSpread, low_pass: float) -> tuple[Images, Images, Images]:
     """``spread``, and its slopes along x and y: the Gaussians' own, so nothing is differenced."""
     blurred, dx, dy = (np.zeros_like(images) for _ in range(3))
-    for weight, sigma in point_spread.gaussians(low_pass):
-        smooth, slope = (of(images.shape[-1], round(sigma, 4)) for of in (taps, slope_taps))
+    for weight, smooth, slope in gaussians_and_slopes(images.shape[-1], point_spread, low_pass):
         share = np.float32(weight)
         blurred += _swept(images, smooth, share * smooth)
         dx += _swept(images, slope, share * smooth)
         dy += _swept(images, smooth, share * slope)
     return blurred, dx, dy
+
+
+def gaussians_and_slopes(side: int, point_spread: PointSpread, low_pass: float) -> list[tuple[float, Images, Images]]:
+    """Weight of each Gaussian of which a blur is, its taps, and those of its slope."""
+    each = point_spread.gaussians(low_pass)
+    return [(weight, taps(side, round(sigma, 4)), slope_taps(side, round(sigma, 4))) for weight, sigma in each]
 
 
 def _swept(images: Images, across: Images, down: Images) -> Images:

@@ -16,7 +16,7 @@ from service.inference.model.likelihood import Fit
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images
 from service.inference.numerics.curvature import paint_variance, slopes_of, systems_of
-from service.inference.numerics.hill import Hill, Refined
+from service.inference.numerics.hill import AFRESH, Hill, Looked, Refined
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import retract
 from service.inference.state import Array, Poses
@@ -26,8 +26,6 @@ _ROUNDING = 1e-6  # numerical: of a curvature in units of its diagonal: float32'
 # numerical: nats: a step that promises less is taken without a look, whose own rounding is as much
 _UNSEEN = 1.0
 _TRIAL_STEPS = 2  # numerical: that any pose may take
-# numerical: times a climb's rounds, from the prior: a light that is still settling looks like a gain of every step
-_AFRESH = 3
 _SHORTER = 0.3  # numerical: of a step that did not climb
 
 
@@ -41,15 +39,17 @@ def ascend(
     believed: Believed | None = None,
     enough: float | Array = ENOUGH,
     hopeless: float = np.inf,
+    start: Looked | None = None,
 ) -> list[Refined]:
     """Climb from N poses, each with its Sun (N, 3), ``steps`` at the most. In the order given.
 
     ``enough``: nats, (N,) if each its own: the last step is the one that gains less, or to so much what the slopes at
     its start promise of the top.
     ``hopeless``: nats; after two steps those go no further that are so much behind the best.
+    ``start``: the same poses on a hill that may differ in its scene.
     ``covariance``: at the end, at the last place whose slopes are known (which is cheaper), or none.
     """
-    climb = _Climb(hill, poses, suns, believed, np.broadcast_to(enough, len(poses)))
+    climb = _Climb(hill, poses, suns, believed, np.broadcast_to(enough, len(poses)), start)
     for k in range(steps):
         climb.step()
         if k + 1 >= _TRIAL_STEPS:
@@ -60,11 +60,19 @@ def ascend(
 class _Climb:
     """N poses on their way up one hill."""
 
-    def __init__(self, hill: Hill, poses: Poses, suns: Array, believed: Believed | None, enough: Array) -> None:
+    def __init__(
+        self,
+        hill: Hill,
+        poses: Poses,
+        suns: Array,
+        believed: Believed | None,
+        enough: Array,
+        start: Looked | None = None,
+    ) -> None:
         n, d = len(poses), 6 + poses.joints.shape[1]
         self._hill, self._believed, self._enough = hill, believed, enough
         self._poses, self._suns = poses, suns.copy()
-        self._fits, self._scores = _look(hill, poses, self._suns, believed, np.arange(n))
+        self._fits, self._scores = _look(hill, poses, self._suns, believed, np.arange(n), start=start)
         self._curvatures: list[Array] = [np.full((d, d), np.nan)] * n  # stated
         self._believed_curvatures = self._curvatures.copy()
         self._going = np.ones(n, dtype=bool)
@@ -194,23 +202,27 @@ def _look(
     believed: Believed | None = None,
     at: NDArray[np.intp] | None = None,
     ended: Images | None = None,
+    start: Looked | None = None,
 ) -> tuple[list[Fit], Array]:
     """The light of each pose, and its log posterior; ``at``: their numbers among what is believed.
 
-    ``ended``: unknowns of the light of poses near by, to begin with.
+    ``ended``: unknowns of the light of poses near by, to begin with. ``start``: the same poses, looked at before.
     """
-    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
+    if start is not None and start.is_drawn_on(hill):
+        planes, which, ended = start.planes, start.which, start.values
+    else:
+        planes, which = hill.drawing.planes(poses, suns, hill.view, hill.quality), np.arange(len(poses))
     terms = hill.terms
     if believed is not None and at is not None:
         terms = painted(terms, believed.paint[at])
     if ended is not None:
         terms = terms.begun(ended)
-    rounds = hill.rounds if ended is not None else _AFRESH * hill.rounds
-    found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, rounds)
+    rounds = hill.rounds if ended is not None else AFRESH * hill.rounds
+    found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, rounds, [*which])
     fits = [
-        Fit(p, float(e), float(x), c, v, **vars(more))
-        for p, e, x, c, v, more in zip(
-            planes, found.log_evidence, found.chi2, found.coefficients, found.values, details, strict=True
+        Fit(planes[k], float(e), float(x), c, v, **vars(more))
+        for k, e, x, c, v, more in zip(
+            which, found.log_evidence, found.chi2, found.coefficients, found.values, details, strict=True
         )
     ]
     before = np.zeros(len(poses))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.model.drawing import EVEN_PLANES, FINE, Drawing, Quality, View
 from service.inference.model.likelihood import ROUNDS, Fit
@@ -15,6 +16,9 @@ from service.inference.model.scene import Images, Scene
 from service.inference.model.terms import Terms, terms_of
 from service.inference.numerics.priors import PosePrior
 from service.inference.state import Array, Poses
+
+# numerical: times a climb's rounds, from the prior: a light that is still settling looks like a gain of every step
+AFRESH = 3
 
 
 @dataclass(frozen=True)
@@ -56,13 +60,19 @@ class Hill:
         return np.asarray(found.log_evidence, np.float64)
 
     def log_evidences_under(
-        self, planes: Images, ways: Sequence[tuple[Scene, Array | None]], ended: Images | None = None
+        self,
+        planes: Images,
+        ways: Sequence[tuple[Scene, Array | None]],
+        ended: Images | None = None,
+        which: NDArray[np.intp] | None = None,
     ) -> Array:
         """(W, N) the same under several scenes of one patch and low pass at once, each with its paint or None.
 
-        ``ended`` (N, U): unknowns of the same poses under another scene, to begin with.
+        ``ended`` (N, U): unknowns of the same poses under another scene, to begin with. ``which`` (N,): numbers of the
+        drawn poses; None: all.
         """
-        count, groups, out = len(planes), self.drawing.n_groups, np.empty((len(ways), len(planes)))
+        which = np.arange(len(planes)) if which is None else which
+        count, groups, out = len(which), self.drawing.n_groups, np.empty((len(ways), len(which)))
         terms = [self.terms if scene is self.scene else self._under(scene) for scene, _ in ways]
         terms = [
             one if paint is None else painted(one, paint[None]) for one, (_, paint) in zip(terms, ways, strict=True)
@@ -72,9 +82,48 @@ class Hill:
             each = [terms[k] for k in at for _ in range(count)]
             if ended is not None:
                 each = [one.begun(ended[k % count][None]) for k, one in enumerate(each)]
-            found = self.drawing.light.evidence(planes, groups, each, self.rounds, [*range(count)] * len(at))
+            found = self.drawing.light.evidence(planes, groups, each, self.rounds, [*which] * len(at))
             out[at] = found.log_evidence.reshape(len(at), count)
         return out
+
+
+@dataclass(frozen=True)
+class Looked:
+    """N poses on a hill: as they are drawn there, and their light at its best."""
+
+    hill: Hill
+    planes: Images  # (M, Q, S, S)
+    which: NDArray[np.intp]  # (N,) numbers of theirs
+    values: Images  # (N, U) unknowns of their light
+    log_evidence: Array  # (N,)
+
+    def __getitem__(self, index: NDArray[np.intp] | slice) -> Looked:
+        return replace(self, which=self.which[index], values=self.values[index], log_evidence=self.log_evidence[index])
+
+    def is_drawn_on(self, hill: Hill) -> bool:
+        """Whether a hill differs in its scene alone."""
+        other = self.hill
+        return hill.drawing is other.drawing and (hill.view, hill.quality) == (other.view, other.quality)
+
+    def on(self, hill: Hill) -> Looked:
+        """The same on such a hill."""
+        return _settled(hill, self.planes, self.which, self.values)
+
+    def log_evidences(self, scenes: Sequence[Scene]) -> Array:
+        """(W, N) under each of some scenes of the hill's patch."""
+        return self.hill.log_evidences_under(self.planes, [(one, None) for one in scenes], self.values, self.which)
+
+
+def looked(hill: Hill, poses: Poses, suns: Array) -> Looked:
+    """N poses on a hill, each with its Sun (N, 3)."""
+    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
+    return _settled(hill, planes, np.arange(len(poses)), None)
+
+
+def _settled(hill: Hill, planes: Images, which: NDArray[np.intp], ended: Images | None) -> Looked:
+    terms, rounds = (hill.terms, AFRESH * hill.rounds) if ended is None else (hill.terms.begun(ended), hill.rounds)
+    found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, rounds, [*which])
+    return Looked(hill, planes, which, found.values, np.asarray(found.log_evidence, np.float64))
 
 
 @dataclass(frozen=True)

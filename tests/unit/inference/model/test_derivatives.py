@@ -49,6 +49,24 @@ def test_they_are_those_of_whole_pictures(sun, sun_free):
         assert error.max() < 0.06, error
 
 
+@pytest.mark.parametrize("lens", [None, Lens(90.0, (150.0, 70.0))])
+@pytest.mark.parametrize("sun_free", [True, False])
+def test_the_device_mixes_them_as_its_twin_does(sun_free, lens):
+    both = concatenate(pose(), pose(turn=(-1.1, 0.5, 1.9), joint=-60.0, middle=(9.3, 54.8)))  # half out of the patch
+    view, drawn = replace(VIEW, lens=lens), (both, np.tile(SUN, (2, 1)), np.tile(shares(lit_body(), 300.0), (2, 1)))
+    given = view, FINE, BLUR, *drawn, 0.5, sun_free
+    found, wanted = derivatives(lit_body(), *given), derivatives(replace(lit_body(), slopes=None), *given)
+    assert found.shape == wanted.shape
+    size = np.abs(wanted).max(axis=(0, 2, 3))
+    assert (np.abs(found - wanted).max(axis=(0, 2, 3)) < 1e-5 * size).all()
+
+
+def test_bodies_that_do_not_show_change_nothing():
+    away = replace(pose(), position=np.array([[-900.0, 0.0]]))
+    given = away, SUN[None], shares(lit_body(), 300.0)[None]
+    assert not derivatives(lit_body(), VIEW, FINE, BLUR, *given, difference=0.5, sun_free=True).any()
+
+
 @pytest.mark.parametrize("sun_free", [True, False])
 def test_so_they_are_through_a_lens(sun_free):
     view, at = replace(VIEW, lens=Lens(90.0, (150.0, 70.0))), pose()
