@@ -37,9 +37,19 @@ class Answers:
 
 
 @dataclass(frozen=True)
+class Row:
+    """Of one pose, as the device tells it: ``kernels/evidence.cl`` lays it out."""
+
+    told: Numbers  # (N, size) of all that were told together
+    number: int
+    unknowns: int  # that a pose of these has at the most
+
+
+@dataclass(frozen=True)
 class Details:
     """Of one pose, for Gauss-Newton."""
 
+    row: Row
     residual: Numbers  # (S, S)
     weight: Numbers  # (S, S) over A
     model: Numbers
@@ -94,7 +104,7 @@ class LightEvidence:
         out = np.empty((n, LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 4)), np.float32)
         answers = self._run(planes, n_groups, [terms], rounds, out, which)
         always = unknowns - (n_planes - EVEN_PLANES)
-        return answers, [_details(row, unknowns, always, side) for row in out]
+        return answers, [_details(Row(out, k, unknowns), always, side) for k in range(n)]
 
     def close(self) -> None:
         """Wait for the device and give its memory back."""
@@ -178,8 +188,9 @@ def open_evidence(kind: str = "cpu", together: bool | None = None) -> LightEvide
     return LightEvidence(first_device(kind), together)
 
 
-def _details(row: Numbers, unknowns: int, always: int, side: int) -> Details:
-    """One pose's row, as the kernel lays it out; ``always``: unknowns that every pose has. The rest is not written."""
+def _details(whole: Row, always: int, side: int) -> Details:
+    """What a row says; ``always``: unknowns that every pose has. The rest is not written."""
+    row, unknowns = whole.told[whole.number], whole.unknowns
     count, pixels = int(row[0]), side * side
     maps = row[LANES : LANES + 4 * pixels].reshape(4, side, side)
     rest = row[LANES + 4 * pixels :]
@@ -193,7 +204,7 @@ def _details(row: Numbers, unknowns: int, always: int, side: int) -> Details:
     parts = [tail[at : at + length].astype(np.float64) for at, length in zip(starts, lengths, strict=True)]
     maps_four = maps[0], maps[1], maps[2], maps[3]
     more = parts[2].reshape(count, count), parts[3], parts[4].astype(np.intp)
-    return Details(*maps_four, window, columns, parts[0], parts[1], *more)
+    return Details(whole, *maps_four, window, columns, parts[0], parts[1], *more)
 
 
 def _lanes(count: int) -> int:

@@ -13,11 +13,13 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.device import DeviceReport, first_device, open_device
+from gpu.evidence import EIGHT, Row
 from gpu.evidence_terms import LANES
 from gpu.program import Scratch, build, constant, device_errors, work_items, zero
 
 Numbers = NDArray[np.float32]
-FILES = ("lanes.cl", "evidence_pictures.cl", "light_slopes.cl")
+FILES = ("lanes.cl", "evidence_shared.cl", "evidence_pictures.cl", "evidence_normal.cl", "light_slopes.cl")
+_TILE = 384  # as the kernel has it
 
 
 class LightSlopes:
@@ -28,7 +30,8 @@ class LightSlopes:
         with device_errors(self.name):
             self._context = cl.Context([open_device(report)])
             self._queue, self._memory = cl.CommandQueue(self._context), Scratch(self._context)
-            self._kernel = cl.Kernel(build(self._context, *FILES), "slopes")
+            program = build(self._context, *FILES)
+            self._slopes, self._systems = (cl.Kernel(program, name) for name in ("slopes", "systems"))
 
     def mixed(
         self,
@@ -51,6 +54,28 @@ class LightSlopes:
         if n:
             with device_errors(self.name):
                 self._run(pairs, here, (mixes, middles), blur, out)
+        return out
+
+    def systems(
+        self, slopes: Numbers, rows: Sequence[Row], known: NDArray[np.float64] | None
+    ) -> tuple[NDArray[np.float64], ...]:
+        """What N poses' derivatives (N, D, S, S) say of them, the unknowns of their light eliminated.
+
+        ``rows``: of each what ``LightEvidence.details`` tells. ``known`` (N, Q - 4): precision of each positive plane
+        that is known from earlier frames, or None. Curvature (N, D, D) at a light that is held; what the light could
+        do instead takes of it; as much were nothing known of its paint; and slope (N, D).
+        """
+        n, d = slopes.shape[:2]
+        out = (*(np.zeros((n, d, d)) for _ in range(3)), np.zeros((n, d)))
+        with device_errors(self.name):
+            for told in {id(row.told): row.told for row in rows}.values():
+                at = [k for k, row in enumerate(rows) if row.told is told]
+                parts = tuple(np.zeros((len(at), *one.shape[1:])) for one in out) if len(at) < n else out
+                few = (slopes, known) if len(at) == n else (slopes[at], None if known is None else known[at])
+                self._eliminate(told, [rows[k] for k in at], *few, parts)
+                for one, part in zip(out, parts, strict=True):
+                    if part is not one:
+                        one[at] = part
         return out
 
     def close(self) -> None:
@@ -88,9 +113,37 @@ class LightSlopes:
         sizes = (np.int32(side), np.int32(len(blur)))
         spread = weights, constant(self._context, radii), smooth, slope, np.int32(length)
         tail = result, self._memory.of(4 * each * items), np.uint64(each), zero(self._context)
-        self._kernel(self._queue, (items,), (1,), *given, *counts, mixes, middles, *sizes, *spread, *tail)
+        self._slopes(self._queue, (items,), (1,), *given, *counts, mixes, middles, *sizes, *spread, *tail)
         mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
         mapped.base.release(self._queue)
+        self._queue.finish()
+
+    def _eliminate(
+        self,
+        told: Numbers,
+        rows: Sequence[Row],
+        slopes: Numbers,
+        known: NDArray[np.float64] | None,
+        out: tuple[NDArray[np.float64], ...],
+    ) -> None:
+        """``systems`` of poses that were told together."""
+        n, d, side, _ = slopes.shape
+        unknowns, flags = rows[0].unknowns, cl.mem_flags
+        widest = -(-unknowns // EIGHT) * EIGHT
+        padded = -(-d // 4) * 4
+        each = 2 * widest * (widest + 1) + (2 + LANES) * (unknowns + d + 1) * padded + padded * max(_TILE, side)
+        items = work_items(self._queue.device, n, 4 * each)
+        held = [np.ascontiguousarray(slopes, np.float32), told]
+        own, given = (cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in held)
+        which = constant(self._context, np.array([row.number for row in rows], np.int32))
+        results = [cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=one) for one in out]
+        paint = (None, np.int32(0)) if known is None else (constant(self._context, known), np.int32(known.shape[1]))
+        head = given, np.uint64(told.shape[1]), which, np.int32(n), np.int32(unknowns), np.int32(side)
+        tail = self._memory.of(4 * each * items), np.uint64(each), zero(self._context)
+        self._systems(self._queue, (items,), (1,), *head, own, np.int32(d), *paint, *results, *tail)
+        for one, result in zip(out, results, strict=True):
+            mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, one.shape, one.dtype)
+            mapped.base.release(self._queue)
         self._queue.finish()
 
 

@@ -2,6 +2,8 @@
 //
 // The slow twin is service/inference/model/derivatives.py. One work-item takes pose after pose.
 
+#define TILE 384  // pixels of a window that are summed at once: so much of a few pictures stays in the nearest cache
+
 // Where any of some pictures is not zero. Empty: bottom <= top.
 static Box box_of_any(__global const float *pictures, const int count, const int side, Box box)
 {
@@ -97,5 +99,112 @@ __kernel void slopes(__global const float *pairs, __global const float *here, co
         for (int d = 0; d < wanted; ++d, mix += count, to += pixels)
             for (int k = 0; k < count; ++k)
                 if (mix[k] != 0.0f) add(to, pictures + k * pixels, wide, side, mix[k]);
+    }
+}
+
+// Adds the products of some rows of a picture, `stride` apart, with each of `wanted` others, which are `area` apart and
+// `wide` from row to row, to as many sums of LANES; four at a time.
+static void add_dots(__global const float *picture, const int stride, __global const float *others, const int area,
+    const int rows, const int wide, const int wanted, __global float *sums)
+{
+    for (int d = 0; d < wanted; d += 4, others += 4 * area, sums += 4 * LANES) {
+        floats a = floats_at(sums), b = floats_at(sums + LANES);
+        floats c = floats_at(sums + 2 * LANES), e = floats_at(sums + 3 * LANES);
+        for (int row = 0; row < rows; ++row)
+            for (int k = 0; k < wide; k += LANES) {
+                const floats left = floats_at(picture + row * stride + k);
+                __global const float *other = others + row * wide + k;
+                a = fma(left, floats_at(other), a);
+                b = fma(left, floats_at(other + area), b);
+                c = fma(left, floats_at(other + 2 * area), c);
+                e = fma(left, floats_at(other + 3 * area), e);
+            }
+        put(sums, a);
+        put(sums + LANES, b);
+        put(sums + 2 * LANES, c);
+        put(sums + 3 * LANES, e);
+    }
+}
+
+// taken (wanted, wanted) = C' A^-1 C of a factorised A (count, count), its rows `width` apart, and crosses C (count,
+// padded). `inner` has `width` numbers.
+static void take_away(__global const double *factor, const int count, const int width, __global const double *crosses,
+    const int padded, const int wanted, __global double *inner, __global double *taken)
+{
+    for (int d = 0; d < wanted; ++d) {
+        for (int m = 0; m < width; ++m) inner[m] = m < count ? crosses[m * padded + d] : 0.0;
+        solve(factor, count, width, inner);
+        for (int e = 0; e < wanted; ++e) {
+            double sum = 0.0;
+            for (int m = 0; m < count; ++m) sum += crosses[m * padded + e] * inner[m];
+            taken[e * wanted + d] = sum;
+        }
+    }
+}
+
+// What the slopes (N, wanted, side, side) of poses say of them, the light's unknowns eliminated. rows: of each pose
+// `size` numbers at `which`, as the evidence tells them (`told_size`), of `unknowns` at the most. known (N, planes): of
+// each positive plane's paint, or null. Zeros to begin with: normal, taken and unpainted (N, wanted, wanted), pull (N,
+// wanted). Where the light's own curvature is not positive nothing is taken.
+__kernel void systems(__global const float *rows, const ulong size, __global const int *which, const int poses,
+    const int unknowns, const int side, __global const float *slopes, const int wanted, __global const double *known,
+    const int planes, __global double *normal, __global double *taken, __global double *unpainted,
+    __global double *pull, __global float *memory, const ulong each, volatile __global int *next)
+{
+    const int pixels = side * side, padded = (wanted + 3) & ~3, widest = (unknowns + EIGHT - 1) & -EIGHT;
+    memory += get_global_id(0) * each;
+    // sums of products with weighted slopes: of the light's pictures, of the slopes, and of the residual
+    const int crossed = unknowns * padded, among = wanted * padded, whole = crossed + among + padded;
+    __global double *factor = (__global double *)memory, *inner = factor + widest * widest, *crosses = inner + widest;
+    __global double *own = crosses + crossed, *left_over = own + among;
+    __global float *sums = (__global float *)(left_over + padded), *weighted = sums + whole * LANES;
+    for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
+        __global const float *row = rows + which[pose] * size, *residual = row + LANES, *weight = residual + pixels;
+        __global const float *columns = residual + 4 * pixels;
+        __global const float *steep = columns + (size_t)unknowns * pixels + 2 * unknowns;
+        __global const float *push = steep + unknowns * unknowns, *lit = push + unknowns;
+        const int count = (int)row[0], top = (int)row[1], bottom = (int)row[2], left = (int)row[3];
+        const int wide = (int)row[4] - left, width = (count + EIGHT - 1) & -EIGHT;
+        if (bottom <= top || wide <= 0) continue;
+        const int tall = max(TILE / wide, 1), area = tall * wide, square = pose * wanted * wanted;
+        for (int k = 0; k < whole; ++k) put(sums + k * LANES, 0.0f);
+        for (int d = wanted; d < padded; ++d)
+            for (int k = 0; k < area; k += LANES) put(weighted + d * area + k, 0.0f);
+        for (int first = top; first < bottom; first += tall) {
+            const int lines = min(tall, bottom - first), at = first * side + left;
+            __global const float *slope = slopes + (size_t)pose * wanted * pixels + at;
+            for (int d = 0; d < wanted; ++d)
+                for (int r = 0; r < lines; ++r)
+                    for (int k = 0; k < wide; k += LANES)
+                        put(weighted + d * area + r * wide + k,
+                            floats_at(weight + at + r * side + k) * floats_at(slope + d * pixels + r * side + k));
+            for (int m = 0; m < count; ++m)
+                add_dots(columns + ((size_t)m * (bottom - top) + first - top) * wide, wide, weighted, area, lines, wide,
+                    wanted, sums + m * padded * LANES);
+            for (int d = 0; d < wanted; ++d)
+                add_dots(slope + d * pixels, side, weighted, area, lines, wide, wanted,
+                    sums + (crossed + d * padded) * LANES);
+            add_dots(residual + at, side, weighted, area, lines, wide, wanted,
+                sums + (crossed + among) * LANES);
+        }
+        for (int k = 0; k < whole; ++k) crosses[k] = (double)sum_of(floats_at(sums + k * LANES));
+        for (int d = 0; d < wanted; ++d) {
+            pull[pose * wanted + d] = left_over[d];
+            for (int e = 0; e < wanted; ++e) normal[square + d * wanted + e] = own[d * padded + e];
+        }
+        for (int again = 0; again < (known ? 2 : 1); ++again) {
+            for (int i = 0; i < count; ++i)
+                for (int j = 0; j < width; ++j) factor[i * width + j] = j < count ? (double)steep[i * count + j] : 0.0;
+            for (int i = 0; again && i < count - (unknowns - planes); ++i)
+                factor[i * width + i] -= known[pose * planes + (int)lit[i]];
+            if (!factorise(factor, count, width)) continue;
+            take_away(factor, count, width, crosses, padded, wanted, inner, (again ? unpainted : taken) + square);
+            if (again) continue;
+            for (int m = 0; m < width; ++m) inner[m] = m < count ? (double)push[m] : 0.0;
+            solve(factor, count, width, inner);
+            for (int d = 0; d < wanted; ++d)
+                for (int m = 0; m < count; ++m) pull[pose * wanted + d] -= crosses[m * padded + d] * inner[m];
+        }
+        for (int k = 0; !known && k < wanted * wanted; ++k) unpainted[square + k] = taken[square + k];
     }
 }

@@ -93,6 +93,10 @@ class Slopes(Protocol):
         """(N, D, S, S) derivatives of N blurred pictures."""
         ...
 
+    def systems(self, slopes: Images, rows: Sequence[Any], known: Array | None) -> tuple[Array, ...]:
+        """What the derivatives of N poses say of them: ``service.inference.numerics.curvature.eliminated``."""
+        ...
+
 
 @dataclass(frozen=True)
 class Quality:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import lgamma, log, pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,7 @@ class Fit:
     normal: Array  # (M, M) curvature of the log posterior by the unknowns
     pull: Array  # (M,) its slope
     lit: NDArray[np.intp]  # numbers of the positive planes that show light: the first of the M
+    row: Any = None  # as a device tells it: ``gpu.evidence.Row``
 
 
 def t_log_density(residual: Images, variance: Images) -> Images:

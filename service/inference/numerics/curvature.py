@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -31,55 +30,48 @@ def systems_of(
     poses: Poses,
     suns: Array,
     fits: list[Fit],
-    slopes: Sequence[Images],
+    slopes: Images,
     believed: Believed | None = None,
     at: NDArray[np.intp] | None = None,
-) -> list[tuple[Array, Array, Array]]:
-    """Curvature (D, D) and slope (D,) of each log posterior, the linear unknowns eliminated; and the curvature of which
-    a spread is stated: with the discrepancy's scale as it is seen, and as if the paint were unknown, since it was
+) -> tuple[Array, Array, Array]:
+    """Curvature (N, D, D) and slope (N, D) of each log posterior, the linear unknowns eliminated; and the curvature of
+    which a spread is stated: with the discrepancy's scale as it is seen, and as if the paint were unknown, since it was
     learnt from poses that erred as this one does.
 
-    D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across it) where it is free.
+    ``slopes`` (N, D, S, S). D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across
+    it) where it is free.
     """
     known = None if believed is None or at is None else believed.paint[at, 1]
-    found = [
-        _system(hill, poses[k : k + 1], suns[k], fits[k], slopes[k], None if known is None else known[k])
-        for k in range(len(poses))
-    ]
+    if hill.drawing.slopes is None:
+        normal, taken, unpainted, pull = eliminated(fits, slopes, known)
+    else:
+        normal, taken, unpainted, pull = hill.drawing.slopes.systems(slopes, [fit.row for fit in fits], known)
+    sure, push = _prior(hill, poses, suns)
     if believed is not None and at is not None:
-        towards, d = -believed.away(poses, at), believed.precision.shape[1]
-        for (normal, pull, stated), precision, away in zip(found, believed.precision[at], towards, strict=True):
-            normal[:d, :d] += precision
-            stated[:d, :d] += precision
-            pull[:d] += precision @ away
-        if hill.sun_free and hill.told.towards_sun is None:
-            d = 6 + poses.joints.shape[1]
-            for k, (normal, pull, stated) in zip(at, found, strict=True):
-                sure, sun = believed.sun_precision[k], suns[np.searchsorted(at, k)]
-                normal[range(d, d + 2), range(d, d + 2)] += sure
-                stated[range(d, d + 2), range(d, d + 2)] += sure
-                pull[d : d + 2] += sure * (across(sun) @ (believed.suns[k] - sun))
-    return found
+        _add_believed(hill, believed, at, poses, suns, sure, push)
+    seen = np.array([scale_seen(fit.chi2) for fit in fits])
+    return normal + sure - taken, pull + push, (normal - unpainted) / seen[:, None, None] + sure
 
 
-def _system(
-    hill: Hill, pose: Poses, sun: Array, fit: Fit, slopes: NDArray[np.float32], known: Array | None
-) -> tuple[Array, Array, Array]:
+def eliminated(fits: list[Fit], slopes: Images, known: Array | None) -> tuple[Array, Array, Array, Array]:
+    """The twin of ``gpu.slopes.LightSlopes.systems``, which says what it gives; ``known`` (N, Q - 4) of paint."""
+    paint = [None] * len(fits) if known is None else known
+    found = [_eliminated(*one) for one in zip(fits, slopes, paint, strict=True)]
+    normal, taken, unpainted, pull = (np.stack(parts) for parts in zip(*found, strict=True))
+    return normal, taken, unpainted, pull
+
+
+def _eliminated(fit: Fit, slopes: Images, known: Array | None) -> tuple[Array, Array, Array, Array]:
     flat, weighted = _weighted(fit, slopes)
-    normal = (weighted @ flat.T).astype(np.float64)
     pull = (weighted @ fit.residual[fit.window].ravel()).astype(np.float64)
-    cross = _cross(fit, weighted)
-    prior = np.zeros_like(normal)
-    _add_prior(hill, prior, pull, pose, sun)
+    cross, d = _cross(fit, weighted), len(slopes)
     inner = np.linalg.solve(fit.normal, np.column_stack([cross, fit.pull]))
-    d = len(slopes)
-    slope = pull - cross.T @ inner[:, d]
-    taken = stated = cross.T @ inner[:, :d]  # by what the light could do instead
+    taken = unpainted = cross.T @ inner[:, :d]  # by what the light could do instead
     if known is not None:
         free = fit.normal.copy()
         free[range(len(fit.lit)), range(len(fit.lit))] -= known[fit.lit]
-        stated = cross.T @ np.linalg.solve(free, cross)
-    return normal + prior - taken, slope, (normal - stated) / scale_seen(fit.chi2) + prior
+        unpainted = cross.T @ np.linalg.solve(free, cross)
+    return (weighted @ flat.T).astype(np.float64), taken, unpainted, pull - cross.T @ inner[:, d]
 
 
 def _weighted(fit: Fit, slopes: Images) -> tuple[Images, Images]:
@@ -120,18 +112,37 @@ def _weak(d: int) -> Array:
     return np.concatenate([np.full(3, 1.0), np.full(2, 1e-4), [1.0], np.full(d - 6, 1e-4)])
 
 
-def _add_prior(hill: Hill, normal: Array, pull: Array, pose: Poses, sun: Array) -> None:
-    told, d = hill.told, 6 + pose.joints.shape[1]
-    normal[range(d), range(d)] += _weak(d)
+def _prior(hill: Hill, poses: Poses, suns: Array) -> tuple[Array, Array]:
+    """Curvature (N, D, D) and slope (N, D) of what is told beside the frame."""
+    told, n, d = hill.told, len(poses), 6 + poses.joints.shape[1]
+    normal, pull = np.zeros((2, n, d + 2 * hill.sun_free, d + 2 * hill.sun_free))
+    pull = pull[:, 0]
+    normal[:, range(d), range(d)] += _weak(d)
     if told.log_scale is not None:
-        normal[5, 5] += told.log_scale_sigma**-2
-        pull[5] += (told.log_scale - float(pose.log_scale[0])) / told.log_scale_sigma**2
+        normal[:, 5, 5] += told.log_scale_sigma**-2
+        pull[:, 5] += (told.log_scale - poses.log_scale) / told.log_scale_sigma**2
     if told.tracking is not None:
-        off, slopes = told.tracking.slopes(pose, sun)
-        normal[:d, :d] += slopes.T @ slopes
-        pull[:d] -= slopes.T @ off
+        for k, sun in enumerate(suns):
+            off, slopes = told.tracking.slopes(poses[k : k + 1], sun)
+            normal[k, :d, :d] += slopes.T @ slopes
+            pull[k, :d] -= slopes.T @ off
     if hill.sun_free:
-        known = told.towards_sun is not None
-        normal[range(d, d + 2), range(d, d + 2)] += told.sun_sigma**-2 if known else 1.0
-        if told.towards_sun is not None:
-            pull[d : d + 2] += across(sun) @ (told.towards_sun - sun) / told.sun_sigma**2
+        sure = 1.0 if told.towards_sun is None else told.sun_sigma**-2
+        normal[:, range(d, d + 2), range(d, d + 2)] += sure
+        for k, sun in enumerate(suns if told.towards_sun is not None else ()):
+            pull[k, d:] += across(sun) @ (told.towards_sun - sun) * sure
+    return normal, pull
+
+
+def _add_believed(
+    hill: Hill, believed: Believed, at: NDArray[np.intp], poses: Poses, suns: Array, normal: Array, pull: Array
+) -> None:
+    """What earlier frames say of the poses that are numbered ``at``."""
+    d = believed.precision.shape[1]
+    normal[:, :d, :d] += believed.precision[at]
+    pull[:, :d] -= np.einsum("nij,nj->ni", believed.precision[at], believed.away(poses, at))
+    if hill.sun_free and hill.told.towards_sun is None:
+        for k, sun in enumerate(suns):
+            sure = believed.sun_precision[at[k]]
+            normal[k, range(d, d + 2), range(d, d + 2)] += sure
+            pull[k, d:] += sure * (across(sun) @ (believed.suns[at[k]] - sun))

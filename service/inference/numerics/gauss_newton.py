@@ -84,8 +84,7 @@ class _Climb:
         at = np.flatnonzero(self._going)
         if not len(at):
             return
-        systems = self._systems(at)
-        curvature, pull = np.stack([c for c, _, _ in systems]), np.stack([p for _, p, _ in systems])
+        curvature, pull = self._systems(at)
         promised = 0.5 * np.sum(pull * _solved(curvature, pull), axis=1)
         moves = self._moves(curvature, pull, at)
         sure = promised <= np.maximum(self._enough[at], _UNSEEN)
@@ -150,18 +149,21 @@ class _Climb:
     def _go(self, there: NDArray[np.intp], poses: Poses, suns: Array) -> None:
         self._poses, self._suns[there] = _replaced(self._poses, there, poses), suns
 
-    def _systems(self, at: NDArray[np.intp]) -> list[tuple[Array, Array, Array]]:
-        """Those of ``systems_of``; slopes drawn anew where the rim moved further than the differences reach."""
+    def _systems(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Curvatures and slopes; their pictures drawn anew where the rim moved further than the differences reach."""
         old = at[[k not in self._slopes or self._shifted[k] > self._hill.difference for k in at]]
+        drawn = None
         if len(old):
             fits = [self._fits[k] for k in old]
-            self._slopes.update(zip(old, slopes_of(self._hill, self._poses[old], self._suns[old], fits), strict=True))
+            drawn = slopes_of(self._hill, self._poses[old], self._suns[old], fits)
+            self._slopes.update(zip(old, drawn, strict=True))
             self._shifted[old] = 0.0
-        fits, slopes = [self._fits[k] for k in at], [self._slopes[k] for k in at]
+        fits = [self._fits[k] for k in at]
+        slopes = drawn if drawn is not None and len(old) == len(at) else np.stack([self._slopes[k] for k in at])
         systems = systems_of(self._hill, self._poses[at], self._suns[at], fits, slopes, self._believed, at)
-        for k, (curvature, _, stated) in zip(at, systems, strict=True):
+        for k, curvature, stated in zip(at, systems[0], systems[2], strict=True):
             self._curvatures[k], self._believed_curvatures[k] = stated, curvature
-        return systems
+        return systems[0], systems[1]
 
 
 def _solved(curvature: Array, pull: Array) -> Array:

@@ -12,11 +12,11 @@ from service.inference.model.drawing import Quality
 from service.inference.model.likelihood import ROUNDS
 from service.inference.model.scene import Scene, sky_slopes
 from service.inference.model.spread import spread
-from service.inference.numerics.curvature import paint_variance, scale_seen, slopes_of, systems_of
+from service.inference.numerics.curvature import eliminated, paint_variance, scale_seen, slopes_of, systems_of
 from service.inference.numerics.gauss_newton import _look, _moved, ascend, within
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import local, retract
+from service.inference.pose import concatenate, local, retract
 from service.inference.state import Poses
 
 SIGMA = 4.0
@@ -73,7 +73,8 @@ def test_slope_and_curvature_are_those_of_the_posterior_at_fixed_weights():
     sun /= np.linalg.norm(sun)
     start = moved(0.004, -0.005, 0.004, 0.06, -0.05, 0.002, 1.0)
     fits, _ = _look(on, start, sun[None])
-    curvature, slope, stated = systems_of(on, start, sun[None], fits, slopes_of(on, start, sun[None], fits))[0]
+    systems = systems_of(on, start, sun[None], fits, slopes_of(on, start, sun[None], fits))
+    curvature, slope, stated = (one[0] for one in systems)
     assert stated == pytest.approx(curvature / scale_seen(fits[0].chi2), rel=0.02, abs=0.02 * np.abs(curvature).max())
     turn, joint = steps_of(on.drawing, on.view, on.difference, start)
     step = np.array([turn[0]] * 3 + [on.difference] * 2 + [turn[0], joint[0, 0], 0.03, 0.03])
@@ -86,6 +87,22 @@ def test_slope_and_curvature_are_those_of_the_posterior_at_fixed_weights():
         wanted = direction @ curvature @ direction
         assert -(value[0] - 2 * value[1] + value[2]) == pytest.approx(wanted, rel=0.05, abs=10.0)
         assert 0.5 * (value[2] - value[0]) == pytest.approx(slope @ direction, abs=0.03 * wanted + 10.0)
+
+
+@pytest.mark.parametrize("sun_free", [True, False])
+def test_the_device_eliminates_the_light_as_its_twin_does(sun_free):
+    on = replace(hill(frame()), sun_free=sun_free)
+    several, suns = concatenate(pose(), moved(0.02, -0.03, 0.01, 0.5, -0.4, 0.02, 3.0), pose()), np.tile(SUN, (3, 1))
+    fits = [*_look(on, several[:2], suns[:2])[0], *_look(on, several[2:], suns[2:])[0]]  # told by two launches
+    slopes = slopes_of(on, several, suns, fits)
+    known = np.abs(np.random.default_rng(5).normal(size=(3, len(fits[0].planes) - 4))) * 0.2
+    for paint in (None, known):
+        found = on.drawing.slopes.systems(slopes, [fit.row for fit in fits], paint)
+        wanted = eliminated(fits, slopes, paint)
+        size = np.sqrt(np.einsum("nii->ni", wanted[0]))
+        for one, other in zip(found[:3], wanted[:3], strict=True):
+            assert other.any() and (np.abs(one - other) < 5e-5 * size[:, :, None] * size[:, None]).all()
+        assert (np.abs(found[3] - wanted[3]) < 5e-5 * size).all()
 
 
 def test_paint_is_as_unsure_as_the_joint_normal_of_light_and_pose_says():
