@@ -49,7 +49,6 @@ class Row:
 class Details:
     """Of one pose, for Gauss-Newton."""
 
-    row: Row
     residual: Numbers  # (S, S)
     weight: Numbers  # (S, S) over A
     model: Numbers
@@ -61,6 +60,7 @@ class Details:
     normal: NDArray[np.float64]  # (M, M) curvature of the log posterior
     pull: NDArray[np.float64]  # (M,) its slope
     lit: NDArray[np.intp]  # numbers of the positives that show light: the first of the M
+    row: Row
 
 
 class LightEvidence:
@@ -204,7 +204,7 @@ def _details(whole: Row, always: int, side: int) -> Details:
     parts = [tail[at : at + length].astype(np.float64) for at, length in zip(starts, lengths, strict=True)]
     maps_four = maps[0], maps[1], maps[2], maps[3]
     more = parts[2].reshape(count, count), parts[3], parts[4].astype(np.intp)
-    return Details(whole, *maps_four, window, columns, parts[0], parts[1], *more)
+    return Details(*maps_four, window, columns, parts[0], parts[1], *more, whole)
 
 
 def _lanes(count: int) -> int:

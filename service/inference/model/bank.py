@@ -141,10 +141,16 @@ def match(
     if log_scale is not None:
         wide = 3 * log_scale_sigma + _HALF_STEP
         off = _PER_LOG_SCALE * np.maximum(np.abs(scale - log_scale) - wide, 0.0).astype(np.float32)
-    for templates, pictures in zip(bank.pictures, seen.pictures, strict=True):
+
+    def likest(templates: Images, pictures: Images) -> tuple[Images, NDArray[np.intp]]:
         product = templates @ pictures.T - off
         best = np.argmax(product, axis=1)
-        scores.append(np.take_along_axis(product, best[:, None], 1)[:, 0])
+        return np.take_along_axis(product, best[:, None], 1)[:, 0], best
+
+    with ThreadPoolExecutor(len(seen.pictures)) as pool:
+        found = list(pool.map(likest, bank.pictures, seen.pictures))
+    for score, best in found:
+        scores.append(score)
         zoom = seen.zoom[best]
         position = bank.poses.position * zoom[:, None] + seen.offset[best]
         size = bank.poses.log_scale + np.log(zoom)

@@ -25,6 +25,8 @@ SHARED_DEG = 5.0  # numerical: poses nearer than this are one basin while it is 
 _JOINT_APART = 0.06
 _TURNED_ALIKE = 4  # numerical: basins that differ in their joints alone: more would crowd out other rotations
 
+_AT_ONCE_BYTES = 1 << 26  # numerical: of pictures that are drawn at once
+
 
 @dataclass(frozen=True)
 class Candidates:
@@ -45,8 +47,10 @@ class Candidates:
 
 def scored(hill: Hill, some: Candidates) -> Candidates:
     """The same with their log posteriors on a hill, best first."""
-    planes = hill.drawing.planes(some.poses, some.suns, hill.view, hill.quality)
-    found = hill.log_evidences(planes) + log_prior(some.poses, some.suns, hill.told)
+    found, count = log_prior(some.poses, some.suns, hill.told), max(_AT_ONCE_BYTES // hill.bytes_drawn, 1)
+    for few in (slice(start, start + count) for start in range(0, len(some), count)):
+        planes = hill.drawing.planes(some.poses[few], some.suns[few], hill.view, hill.quality)
+        found[few] += hill.log_evidences(planes)
     return Candidates(some.poses, some.suns, found)[np.argsort(-found)]
 
 

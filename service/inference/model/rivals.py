@@ -7,7 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.inference.model.candidates import HOPELESS, Candidates, best_of, climbed, distinct, joined, scored, unlike
+from service.inference.model.candidates import (
+    HOPELESS,
+    Candidates,
+    best_of,
+    climbed,
+    distinct,
+    joined,
+    looked_at,
+    scored,
+    unlike,
+)
 from service.inference.model.lookalikes import boxed, equivalents
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.search import BEHIND, BOXED, MORE_SUNS, started, under
@@ -75,7 +85,7 @@ def rivals(
         hill = stage_hill(body.middle, sight, stage, nuisance, told, speckle=False)
         some = known.others_near(hill, climbed(hill, scored(hill, some), stage.of(part)))
     if told.towards_sun is None and len(some):  # no climb leads from a Sun in front of a flat body to one behind it
-        some = joined([some, *under(hill, some, MORE_SUNS)])
+        some = joined([some, under(hill, some, MORE_SUNS)])
     if boxes:
         some = joined([some, boxed(hill, best_of(joined([known.on(hill), some]), BOXED, articulation))])
     some = known.others_near(hill, best_of(some, SHARP.kept, articulation))
@@ -85,7 +95,7 @@ def rivals(
         some = joined([some, unlike(equivalents(some, alike), followed.modes.poses, articulation)])
     clear = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
     every = joined([some, followed.modes[:1]])
-    every = climbed(clear, scored(clear, every), replace(CLEAR, kept=len(every)), HOPELESS)
+    every = climbed(clear, looked_at(clear, every)[0], replace(CLEAR, kept=len(every)), HOPELESS)
     every = every[np.flatnonzero(every.found > every.found[0] - HOPELESS)]
     some = unlike(every, followed.modes.poses, articulation)
     if not len(some):

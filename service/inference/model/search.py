@@ -122,7 +122,7 @@ def search(
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
-        some = best_of(joined([some, *under(hill, some, MORE_SUNS)]), SHARP.kept, body.fine.articulation)
+        some = best_of(joined([some, under(hill, some, MORE_SUNS)]), SHARP.kept, body.fine.articulation)
     news = some if track is None else beside(hill, some, track, shake, rng)
     if news is None:
         return Found([], hill, nuisance)
@@ -259,15 +259,14 @@ def varied(hill: Hill, some: Candidates, part: Part = WHOLE) -> Candidates:
                 values[:, k] = joints[k].minimum + (place + 0.5) / count * (joints[k].maximum - joints[k].minimum)
             tried.append(scored(hill, replace(few, poses=replace(few.poses, joints=values))))
     if hill.told.towards_sun is None:
-        tried += under(hill, best_of(joined(tried), part.share(_TRIED), articulation), _SUNS)
+        tried.append(under(hill, best_of(joined(tried), part.share(_TRIED), articulation), _SUNS))
     return joined(tried)
 
 
-def under(hill: Hill, some: Candidates, count: int) -> list[Candidates]:
-    """The same poses under each of so many Suns."""
-    suns = (np.tile(sun, (len(some), 1)) for sun in directions(count))
-    tracking, out = hill.told.tracking, []
-    for sun in suns:
-        poses = some.poses if tracking is None else tracking.pointed(some.poses, sun)
-        out.append(scored(hill, replace(some, poses=poses, suns=sun)))
-    return out
+def under(hill: Hill, some: Candidates, count: int) -> Candidates:
+    """The same poses under each of so many Suns, best first."""
+    suns = np.repeat(directions(count), len(some), axis=0)
+    poses, tracking = some.poses[np.tile(np.arange(len(some)), count)], hill.told.tracking
+    if tracking is not None:
+        poses = tracking.pointed(poses, suns)
+    return scored(hill, Candidates(poses, suns, np.zeros(len(suns))))

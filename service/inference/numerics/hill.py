@@ -50,9 +50,17 @@ class Hill:
         """The hill's scene and priors, as the likelihood holds them."""
         return self._under(self.scene)
 
+    @property
+    def bytes_drawn(self) -> int:
+        """Of one pose's planes."""
+        return 4 * self._n_planes * self.view.side**2
+
+    @property
+    def _n_planes(self) -> int:
+        return self.drawing.n_groups * (1 + len(self.quality.gloss)) + EVEN_PLANES
+
     def _under(self, scene: Scene) -> Terms:
-        groups = self.drawing.n_groups
-        return terms_of(scene, groups, groups * (1 + len(self.quality.gloss)) + EVEN_PLANES)
+        return terms_of(scene, self.drawing.n_groups, self._n_planes)
 
     def log_evidences(self, planes: Images) -> Array:
         """(N,) of drawn poses (N, Q, S, S)."""
