@@ -29,8 +29,10 @@ class LitBody:
         with ExitStack() as opening:
             light = open_evidence(_kind())
             opening.callback(light.close)
-            slopes = open_slopes(_kind())
-            opening.callback(slopes.close)
+            slopes = None
+            if _kind() == "cpu":  # its kernels take a pose a work-item: a GPU would wait for each
+                slopes = open_slopes()
+                opening.callback(slopes.close)
             shared = articulation, light, slopes
             rough = _drawing(mesh, *shared, ROUGH_GROUPS, ROUGH_RADIUS_PX, opening)
             middle = _drawing(mesh, *shared, MIDDLE_GROUPS, MIDDLE_RADIUS_PX, opening)
@@ -53,7 +55,7 @@ def _drawing(
     mesh: Mesh,
     articulation: Articulation,
     light: LightEvidence,
-    slopes: LightSlopes,
+    slopes: LightSlopes | None,
     most: int | None,
     radius_px: float | None,
     held: ExitStack,

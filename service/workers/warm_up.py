@@ -18,6 +18,7 @@ from gpu.mesh import assemble
 from gpu.raw_part import RawPart
 from gpu.scorer import open_scorer
 from service.inference.articulation import Articulation
+from service.inference.model.derivatives import derivatives
 from service.inference.model.drawing import EVEN_PLANES, Drawing, Quality, View
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread
@@ -57,17 +58,22 @@ def build_kernels(built: Callable[[], None] = lambda: None) -> None:
 
 
 def _draw(drawing: Drawing) -> None:
-    """One picture, and its evidence."""
+    """One picture, its evidence, and what its slopes say."""
     pose = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.full((1, 2), 0.5 * _SIDE), np.log([4.0]), np.zeros((1, 0)))
     look = pose, np.array([[0.0, 0.0, -1.0]])
     view, quality = View((0.0, 0.0), 1.0, _SIDE), Quality(1, _SIDE)
     planes = drawing.planes(*look, view, quality)
     drawing.combined(*look, np.ones(planes.shape[:2], np.float32), view, quality)
     empty = np.zeros((_SIDE, _SIDE), np.float32)
-    scene = Scene(empty, 1.0, 1.0, 1.0, empty > 0, PointSpread(1.0))
+    blur = PointSpread(1.0), 0.0
+    scene = Scene(empty, 1.0, 1.0, 1.0, empty > 0, blur[0])
     groups = drawing.n_groups
     terms = terms_of(scene, groups, groups * (1 + len(quality.gloss)) + EVEN_PLANES)
-    drawing.light.details(planes, groups, terms, 1)
+    answers, details = drawing.light.details(planes, groups, terms, 1)
+    given = drawing, view, quality, blur, *look, answers.coefficients
+    slopes = derivatives(*given, difference=1.0, sun_free=False)
+    if drawing.slopes is not None:
+        drawing.slopes.systems(slopes, [details[0].row], None)
 
 
 if __name__ == "__main__":
