@@ -145,7 +145,7 @@ static void take_away(__global const double *factor, const int count, const int 
 // What the slopes (N, wanted, side, side) of poses say of them, the light's unknowns eliminated. rows: of each pose
 // `size` numbers at `which`, as the evidence tells them (`told_size`), of `unknowns` at the most. known (N, planes): of
 // each positive plane's paint, or null. Zeros to begin with: normal, taken and unpainted (N, wanted, wanted), pull (N,
-// wanted). Where the light's own curvature is not positive nothing is taken.
+// wanted). Where the curvature of the light is not positive nothing is taken; without its paint, what is with it.
 __kernel void systems(__global const float *rows, const ulong size, __global const int *which, const int poses,
     const int unknowns, const int side, __global const float *slopes, const int wanted, __global const double *known,
     const int planes, __global double *normal, __global double *taken, __global double *unpainted,
@@ -197,14 +197,14 @@ __kernel void systems(__global const float *rows, const ulong size, __global con
                 for (int j = 0; j < width; ++j) factor[i * width + j] = j < count ? (double)steep[i * count + j] : 0.0;
             for (int i = 0; again && i < count - (unknowns - planes); ++i)
                 factor[i * width + i] -= known[pose * planes + (int)lit[i]];
-            if (!factorise(factor, count, width)) continue;
-            take_away(factor, count, width, crosses, padded, wanted, inner, (again ? unpainted : taken) + square);
-            if (again) continue;
+            if (!factorise(factor, count, width)) break;
+            take_away(factor, count, width, crosses, padded, wanted, inner, unpainted + square);
+            if (again) break;
+            for (int k = 0; k < wanted * wanted; ++k) taken[square + k] = unpainted[square + k];
             for (int m = 0; m < width; ++m) inner[m] = m < count ? (double)push[m] : 0.0;
             solve(factor, count, width, inner);
             for (int d = 0; d < wanted; ++d)
                 for (int m = 0; m < count; ++m) pull[pose * wanted + d] -= crosses[m * padded + d] * inner[m];
         }
-        for (int k = 0; !known && k < wanted * wanted; ++k) unpainted[square + k] = taken[square + k];
     }
 }
