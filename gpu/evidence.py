@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.evidence_groups import Asked, EvidenceGroups
 from gpu.evidence_terms import LANES, HostInputs, Terms, inputs_of
-from gpu.program import KernelArgument, Scratch, build, constant, device_errors, work_items, zero
+from gpu.program import KernelArgument, Scratch, build, constant, device_errors, lent, take_back, work_items, zero
 from gpu.shaded_reference import EVEN_PLANES
 
 Numbers = NDArray[np.float32]
@@ -153,7 +153,7 @@ class LightEvidence:
         length, flags = asked.side + 2 * _lanes(host.radius), cl.mem_flags
         each = _room(asked.unknowns, asked.n_planes, asked.side, length)
         items = work_items(self._queue.device, len(told[0]), 4 * each)
-        given = cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=held)
+        given = lent(self._context, held)
         inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
         inputs.insert(3, np.int32(host.every))
         inputs.insert(5, np.int32(host.started))
@@ -161,7 +161,7 @@ class LightEvidence:
         results = [cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in told]
         more = None
         if details is not None:
-            more = cl.Buffer(self._context, flags.WRITE_ONLY | flags.USE_HOST_PTR, hostbuf=details)
+            more = lent(self._context, details, filled=True)
         head: tuple[KernelArgument, ...] = (
             given,
             np.int32(len(told[0])),
@@ -175,9 +175,7 @@ class LightEvidence:
         for array, result in zip(told, results, strict=True):
             cl.enqueue_copy(self._queue, array, result)
         if more is not None and details is not None:
-            mapped, _ = cl.enqueue_map_buffer(self._queue, more, cl.map_flags.READ, 0, details.shape, details.dtype)
-            mapped.base.release(self._queue)
-            self._queue.finish()
+            take_back(self._queue, (more, details))
 
 
 def open_evidence(kind: str = "cpu", together: bool | None = None) -> LightEvidence:

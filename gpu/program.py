@@ -42,6 +42,21 @@ def constant(context: cl.Context, values: NDArray[np.generic]) -> cl.Buffer:
     return cl.Buffer(context, flags, hostbuf=filled)
 
 
+def lent(context: cl.Context, values: NDArray[np.generic], *, filled: bool = False) -> cl.Buffer:
+    """The array's own memory as a buffer: nothing is copied on a CPU. ``filled``: kernels write to it."""
+    flags = cl.mem_flags
+    access = flags.READ_WRITE if filled else flags.READ_ONLY
+    return cl.Buffer(context, access | flags.USE_HOST_PTR, hostbuf=values)
+
+
+def take_back(queue: cl.CommandQueue, *results: tuple[cl.Buffer, NDArray[np.generic]]) -> None:
+    """Wait until what kernels wrote to lent arrays is in them."""
+    for buffer, values in results:
+        mapped, _ = cl.enqueue_map_buffer(queue, buffer, cl.map_flags.READ, 0, values.shape, values.dtype)
+        mapped.base.release(queue)
+    queue.finish()
+
+
 def zero(context: cl.Context) -> cl.Buffer:
     """The counter from which persistent work-items and work-groups take the next particle."""
     return constant(context, np.zeros(1, np.int32))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gpu.budget import group_count
 from gpu.lens import NEAREST, NO_LENS, Lens, magnified
-from gpu.program import KernelArgument, Scratch, build, constant, work_items, zero
+from gpu.program import KernelArgument, Scratch, build, constant, lent, take_back, work_items, zero
 from gpu.shaded_faces import LANES
 from gpu.shaded_reference import BIAS_TEXELS, EVEN_PLANES, STEEPEST
 
@@ -161,16 +161,13 @@ class ItemForm:
         )
         each = -(-(each + 2 * LANES) // 32) * 32
         items = work_items(self._queue.device, n, 4 * each)
-        flags = cl.mem_flags
-        inputs = (cl.Buffer(self.context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in given)
-        result = cl.Buffer(self.context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=out)
+        inputs = (lent(self.context, one) for one in given)
+        result = lent(self.context, out, filled=True)
         counter = zero(self.context)
         scratch = self._memory.of(4 * each * items)
         head = (*inputs, np.int32(n), *faces.arguments, *(np.int32(v) for v in numbers), *sizes.camera(), *exponents)
         kernel(self._queue, (items,), (1,), *head, result, scratch, np.int32(each), counter, *more)
-        mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
-        mapped.base.release(self._queue)
-        self._queue.finish()
+        take_back(self._queue, (result, out))
 
 
 class GroupForm:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.evidence import EIGHT, Row
 from gpu.evidence_terms import LANES
-from gpu.program import Scratch, build, constant, device_errors, work_items, zero
+from gpu.program import Scratch, build, constant, device_errors, lent, take_back, work_items, zero
 
 Numbers = NDArray[np.float32]
 FILES = ("lanes.cl", "evidence_shared.cl", "evidence_pictures.cl", "evidence_normal.cl", "light_slopes.cl")
@@ -96,12 +96,8 @@ class LightSlopes:
         length = side + 2 * (-(-int(radii.max()) // LANES) * LANES)
         each = (drawn + 5) * side * side + side * length
         items = work_items(self._queue.device, n, 4 * each)
-        flags = cl.mem_flags
-        given = [
-            None if one is None else cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one)
-            for one in (np.ascontiguousarray(pairs), None if here is None else np.ascontiguousarray(here))
-        ]
-        result = cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=out)
+        given = [None if one is None else lent(self._context, np.ascontiguousarray(one)) for one in (pairs, here)]
+        result = lent(self._context, out, filled=True)
         mixes, middles = (constant(self._context, np.ascontiguousarray(one, np.float32)) for one in numbers)
         weights = constant(self._context, np.array([weight for weight, _, _ in blur], np.float32))
         both = [smooth for _, smooth, _ in blur], [slope for _, _, slope in blur]
@@ -114,9 +110,7 @@ class LightSlopes:
         spread = weights, constant(self._context, radii), smooth, slope, np.int32(length)
         tail = result, self._memory.of(4 * each * items), np.uint64(each), zero(self._context)
         self._slopes(self._queue, (items,), (1,), *given, *counts, mixes, middles, *sizes, *spread, *tail)
-        mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, out.shape, out.dtype)
-        mapped.base.release(self._queue)
-        self._queue.finish()
+        take_back(self._queue, (result, out))
 
     def _eliminate(
         self,
@@ -128,23 +122,19 @@ class LightSlopes:
     ) -> None:
         """``systems`` of poses that were told together."""
         n, d, side, _ = slopes.shape
-        unknowns, flags = rows[0].unknowns, cl.mem_flags
+        unknowns = rows[0].unknowns
         widest = -(-unknowns // EIGHT) * EIGHT
         padded = -(-d // 4) * 4
         each = 2 * widest * (widest + 1) + (2 + LANES) * (unknowns + d + 1) * padded + padded * max(_TILE, side)
         items = work_items(self._queue.device, n, 4 * each)
-        held = [np.ascontiguousarray(slopes, np.float32), told]
-        own, given = (cl.Buffer(self._context, flags.READ_ONLY | flags.USE_HOST_PTR, hostbuf=one) for one in held)
+        own, given = lent(self._context, np.ascontiguousarray(slopes, np.float32)), lent(self._context, told)
         which = constant(self._context, np.array([row.number for row in rows], np.int32))
-        results = [cl.Buffer(self._context, flags.READ_WRITE | flags.USE_HOST_PTR, hostbuf=one) for one in out]
+        results = [lent(self._context, one, filled=True) for one in out]
         paint = (None, np.int32(0)) if known is None else (constant(self._context, known), np.int32(known.shape[1]))
         head = given, np.uint64(told.shape[1]), which, np.int32(n), np.int32(unknowns), np.int32(side)
         tail = self._memory.of(4 * each * items), np.uint64(each), zero(self._context)
         self._systems(self._queue, (items,), (1,), *head, own, np.int32(d), *paint, *results, *tail)
-        for one, result in zip(out, results, strict=True):
-            mapped, _ = cl.enqueue_map_buffer(self._queue, result, cl.map_flags.READ, 0, one.shape, one.dtype)
-            mapped.base.release(self._queue)
-        self._queue.finish()
+        take_back(self._queue, *zip(results, out, strict=True))
 
 
 def _padded(taps: Numbers, radius: int) -> Numbers:

@@ -63,7 +63,6 @@ def _draw(drawing: Drawing) -> None:
     look = pose, np.array([[0.0, 0.0, -1.0]])
     view, quality = View((0.0, 0.0), 1.0, _SIDE), Quality(1, _SIDE)
     planes = drawing.planes(*look, view, quality)
-    drawing.combined(*look, np.ones(planes.shape[:2], np.float32), view, quality)
     empty = np.zeros((_SIDE, _SIDE), np.float32)
     blur = PointSpread(1.0), 0.0
     scene = Scene(empty, 1.0, 1.0, 1.0, empty > 0, blur[0])
