@@ -54,6 +54,15 @@ class Poses:
 
 
 @dataclass(frozen=True)
+class Displaced:
+    """An answer in whose place another leads, that no mode was near."""
+
+    probability: float  # that it is right, and that something has come between
+    pose: Poses  # (1) as it is expected
+    rates: Array  # (1, d)
+
+
+@dataclass(frozen=True)
 class Mixture:
     """The posterior of ``filters.mixture``: K modes over pose and rates, and what the frames share; d = 6 + J.
 
@@ -81,6 +90,8 @@ class Mixture:
     photon: float | None = None  # variance per count of light; None: as each frame suggests
     searched_nats: float = 340.0  # log evidence against the empty sky where it was searched; as if 0.8 of them met it
     parts_searched: int = 0  # of the search that is under way
+    answered: float = 0.0  # probability that the leading answer was told with when it last fitted
+    displaced: Displaced | None = None  # by the leader
 
 
 @dataclass(frozen=True)

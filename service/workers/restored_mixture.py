@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.imaging.clutter import SIZES
-from service.inference.state import Array, Clutter, Mixture
+from service.inference.state import Array, Clutter, Displaced, Mixture
 
 _LARGEST = 1e9  # px, degrees, seconds, units: whatever is larger is no state of a track
 _MOST_MODES, _MOST_SPAN_PX, _MOST_SIDE = 64, 1e5, 1 << 14
@@ -26,6 +26,8 @@ def check_mixture(mixture: Mixture, n_joints: int) -> None:
     if min(mixture.paint[:, 1].min(initial=0.0), mixture.log_chi2[1], mixture.sun_sigmas.min() - 1e-9) < 0:
         raise ValueError("something that the mixture has learnt has no variance")
     _check_numbers(mixture)
+    if mixture.displaced is not None:
+        _check_displaced(mixture.displaced, 6 + n_joints)
 
 
 def _check_arrays(mixture: Mixture, d: int) -> None:
@@ -52,6 +54,17 @@ def _check_arrays(mixture: Mixture, d: int) -> None:
             raise ValueError(f"the mixture's {name} is not finite, or too large")
 
 
+def _check_displaced(displaced: Displaced, d: int) -> None:
+    pose, chance = displaced.pose, displaced.probability
+    arrays = pose.quaternion, pose.position, pose.log_scale, pose.joints, displaced.rates
+    if [one.shape for one in arrays] != [(1, 4), (1, 2), (1,), (1, d - 6), (1, d)]:
+        raise ValueError("what was displaced is no single answer")
+    if not all(one.dtype == np.float64 and (np.abs(one) <= _LARGEST).all() for one in arrays):
+        raise ValueError("what was displaced is not finite, or too large")
+    if type(chance) is not float or not 0 <= chance < 1 or abs(np.linalg.norm(pose.quaternion) - 1) > _UNIT:
+        raise ValueError("what was displaced has no probability, or no direction")
+
+
 def _is_positive(covariance: Array) -> bool:
     variance = np.diag(covariance)
     if variance.min() <= 0:
@@ -73,6 +86,7 @@ def _check_numbers(mixture: Mixture) -> None:
         "since_search": (mixture.since_search, int, 0, _LARGEST),
         "searched_nats": (mixture.searched_nats, float, -_LARGEST, _LARGEST),
         "parts_searched": (mixture.parts_searched, int, 0, _LARGEST),
+        "answered": (mixture.answered, float, 0.0, 1.0),
         "ever_tracked": (mixture.ever_tracked, bool, 0, 1),
     }
     for name, (value, kind, low, high) in bounds.items():

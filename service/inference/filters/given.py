@@ -14,7 +14,7 @@ from service.inference.model.templates import Bank
 from service.inference.numerics.hill import Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.params import SessionConfig
-from service.inference.state import Array, Poses
+from service.inference.state import Array, Displaced, Poses
 from service.inference.symmetry import Symmetry
 
 
@@ -64,6 +64,7 @@ class Predicted:
     paint: Array  # (K, 2, P)
     log_weights: Array
     existence: Array  # (3,)
+    displaced: Displaced | None = None
 
 
 @dataclass(frozen=True)
@@ -81,3 +82,4 @@ class Updated:
     log_light: float
     log_evidence: float  # of this body against the empty sky, by the power that evidence between hypotheses counts
     n_followed: int  # K
+    disturbed: float = 0.0  # probability that something has come between, were the last answer right

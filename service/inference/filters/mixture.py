@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.filters.answer import drawn, estimate_of, unseen
+from service.inference.filters.displaced import carried_on, with_displaced
 from service.inference.filters.effort import is_doubted, part_due, searched_nats
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.status import one_answer, status_of, told_existence
@@ -79,7 +80,10 @@ def judge(
     gone = before is not None and bool(before.existence[existence.ABSENT] >= 0.5)
     refined = update(ahead, hill, given.domain.wrapping, far=bool(found and found.basins) or gone)
     updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
-    return Judged(updated, prune(updated, before, found, given, hill), hill)
+    after = prune(updated, before, found, given, hill)
+    after = with_displaced(after, before, ahead, updated.disturbed, given)
+    tracked = after.ever_tracked or status_of(after, given.twins, given.domain) == "tracking"
+    return Judged(updated, replace(after, ever_tracked=tracked), hill)
 
 
 def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
@@ -95,6 +99,7 @@ def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
         searches=after.searches,
         since_search=after.since_search,
         parts_searched=after.parts_searched,
+        displaced=ahead.displaced,
     )
 
 
@@ -114,6 +119,7 @@ def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
         paint=paint.expected(before.paint),
         log_weights=weights,
         existence=here,
+        displaced=carried_on(before.displaced, dt_s),
     )
 
 
@@ -235,7 +241,7 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
     whole = part is not None and part.is_last
     if another and before is not None and before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
         misses += searches  # are now known to have missed the truth
-    mixture = Mixture(
+    return Mixture(
         poses=concatenate(*[updated.refined[k].pose for k in kept]),
         rates=updated.rates[kept],
         covariance=updated.covariance[kept],
@@ -257,8 +263,6 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         searched_nats=searched_nats(before, whole, updated),
         parts_searched=0 if whole else parts + (part is not None),
     )
-    status = status_of(mixture, given.twins, given.domain)
-    return replace(mixture, ever_tracked=mixture.ever_tracked or status == "tracking")
 
 
 def concluded(

@@ -24,10 +24,13 @@ def widths_across(mixture: Mixture) -> float:
 
 
 def told_existence(mixture: Mixture) -> Array:
-    """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body."""
+    """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body, nor what
+    a cloud makes of one.
+    """
     absent, fits, no_fit = mixture.existence
     met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
     kept = fits * met * existence.of_this_body(mixture.discrepancy, widths_across(mixture))
+    kept *= 1.0 if mixture.displaced is None else 1 - mixture.displaced.probability
     return np.array([absent, kept, no_fit + fits - kept])
 
 

@@ -73,14 +73,13 @@ def weigh(
             one = repainted(one, ahead.paint[k], hill, given.domain.wrapping)
             modes.append(born(one, same, len(new), ahead.paint[k], noise, given.domain))
     best = max(modes, key=lambda mode: mode.log_weight)
+    absent = existence.log_absent(hill)
     if best is not lead:
         looks = looks_at(best, hill, other)
     afresh, unlike, elsewhere = max(afresh, looks[0]), looks[1], looks[2]
-    light = existence.log_light(hill, best.one.fit)
-    known = existence.usual_chi2() if before is None else before.log_chi2
     explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance, hill)
-    absent = existence.log_absent(hill)
-    probabilities = hypotheses(best, (absent, afresh, unlike), nuisance, light, known, ahead, before)
+    probabilities = hypotheses(best, (absent, afresh, unlike), hill, ahead, before)
+    light = existence.log_light(hill, best.one.fit)
     fits = float(probabilities[existence.FITS])
     better = elsewhere + log_prior(other, hill) > best.one.fit.log_evidence + log_prior(nuisance, hill)
     better = better and lets_through(hill, other)
@@ -92,10 +91,11 @@ def weigh(
         log_weights=np.array([mode.log_weight for mode in modes]),
         existence=probabilities,
         nuisance=other if better else nuisance,
-        log_chi2=existence.usual_chi2(known, best.one.fit.chi2, fits),
+        log_chi2=existence.usual_chi2(log_chi2_before(before), best.one.fit.chi2, fits),
         log_light=existence.usual_light(None if before is None else before.log_light, light, fits),
         log_evidence=prior.EVIDENCE_TRUST * (explained - absent),
         n_followed=len(refined),
+        disturbed=0.0 if ahead is None else come_between(modes, best, hill, other, ahead, before),
     )
 
 
@@ -145,9 +145,7 @@ def looks_at(mode: Weighed, hill: Hill, other: Nuisance) -> tuple[float, float, 
 def hypotheses(
     best: Weighed,
     evidences: tuple[float, float, float],
-    nuisance: Nuisance,
-    light: float,
-    usual_chi2: Array,
+    hill: Hill,
     ahead: Predicted | None,
     before: Mixture | None,
 ) -> Array:
@@ -158,13 +156,30 @@ def hypotheses(
     """
     start = existence.expected(None, 0.0) if ahead is None else ahead.existence
     fit = best.one.fit
-    usual = existence.log_of_change(None if before is None else before.log_light, light)
+    usual = existence.log_of_change(None if before is None else before.log_light, existence.log_light(hill, fit))
     absent, afresh, unlike = evidences
     fits = fit.log_evidence + best.occam + usual
     between = max(fit.log_evidence, afresh, unlike) + best.occam
     logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, between)])
-    logs[existence.NO_FIT] += existence.log_of_disturbance(fit.chi2, usual_chi2)
+    logs[existence.NO_FIT] += existence.log_of_disturbance(fit.chi2, log_chi2_before(before))
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
+
+
+def come_between(
+    modes: list[Weighed], best: Weighed, hill: Hill, other: Nuisance, ahead: Predicted, before: Mixture | None
+) -> float:
+    """Probability that something has come between, were the answer right that was the last; 0 where it still leads."""
+    answer = modes[int(np.argmax(ahead.log_weights))]
+    if answer is best:
+        return 0.0
+    afresh, unlike, _ = looks_at(answer, hill, other)
+    _, fits, no_fit = hypotheses(answer, (-np.inf, afresh, unlike), hill, ahead, before)
+    return float(no_fit / (fits + no_fit))
+
+
+def log_chi2_before(before: Mixture | None) -> Array:
+    """(2,) mean and variance of the log of what the body has left over until now."""
+    return existence.usual_chi2() if before is None else before.log_chi2
 
 
 def newborn(

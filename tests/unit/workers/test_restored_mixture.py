@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.inference.state import Clutter, FilterState, Mixture, Poses
+from service.inference.state import Clutter, Displaced, FilterState, Mixture, Poses
 from service.workers.codec import encode
 from service.workers.restoring import check_state
 
@@ -85,11 +85,30 @@ def test_particles_that_are_only_looked_at_are_kept_small_and_taken():
         {"searches": -1},
         {"since_search": 0.5},
         {"ever_tracked": 1},
+        {"answered": 1.5},
     ],
 )
 def test_modes_that_are_none_are_refused(broken):
     with pytest.raises(ValueError, match="mixture"):
         check_state(state(replace(MIXTURE, **broken)), 1)
+
+
+@pytest.mark.parametrize(
+    ("probability", "pose", "rates"),
+    [
+        (1.0, {}, np.zeros((1, 7))),
+        (float("nan"), {}, np.zeros((1, 7))),
+        (0.5, {}, np.zeros((1, 6))),
+        (0.5, {}, np.full((1, 7), np.nan)),
+        (0.5, {"quaternion": np.zeros((1, 4))}, np.zeros((1, 7))),
+        (0.5, {"position": np.full((1, 2), np.inf)}, np.zeros((1, 7))),
+    ],
+)
+def test_an_answer_that_was_displaced_is_one(probability, pose, rates):
+    check_state(state(replace(MIXTURE, displaced=Displaced(0.5, MIXTURE.poses, np.zeros((1, 7))))), 1)
+    held = Displaced(probability, replace(MIXTURE.poses, **pose), rates)
+    with pytest.raises(ValueError, match="displaced"):
+        check_state(state(replace(MIXTURE, displaced=held)), 1)
 
 
 CLUTTER = Clutter(

@@ -1,0 +1,83 @@
+"""An answer that another displaced (docs/model.md, section 6): which of both is the body, and which a cloud's work?
+
+Under a cloud, or behind another body, light that the modes do not explain often has another pose that does. A body does
+not turn there between two frames: so either what was told before was wrong, or something has come between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from service.inference.filters.given import Given, Predicted
+from service.inference.filters.status import leading_share, one_answer, told_existence
+from service.inference.model import existence, prior
+from service.inference.numerics.student import log_density
+from service.inference.pose import concatenate, local, retract
+from service.inference.state import Array, Displaced, Mixture, Poses
+from service.inference.symmetry import twin
+
+_LEAST = 1e-3  # numerical: probability below which it is forgotten
+_LOG_TURNS = float(np.log(8 * np.pi**2))  # exact: of the volume of all rotations, rad^3
+
+
+def carried_on(before: Displaced | None, dt_s: float) -> Displaced | None:
+    """Ahead of a frame: where it would be; what has come between goes away again, and then it would be seen."""
+    if before is None:
+        return None
+    odds = before.probability / (1 - before.probability) * np.exp(-prior.CHANGES_PER_S * dt_s)
+    pose = retract(before.pose, before.rates * dt_s)
+    return Displaced(float(odds / (1 + odds)), pose, before.rates)
+
+
+def with_displaced(
+    after: Mixture, before: Mixture | None, ahead: Predicted | None, disturbed: float, given: Given
+) -> Mixture:
+    """The modes with what is known of an answer that their leader displaced, and what is told of the leader itself.
+
+    ``disturbed``: probability that something has come between, were the last answer right.
+    """
+    if before is None or ahead is None:
+        return answered(after, 0.0, given)
+    lead, last = int(np.argmax(after.log_weights)), int(np.argmax(ahead.log_weights))
+    leader, answer, known = after.poses[lead : lead + 1], ahead.poses[last : last + 1], ahead.displaced
+    if one_answer(leader, answer, given.twins, given.domain).any():
+        return answered(replace(after, displaced=known), before.answered, given)
+    if known is not None and one_answer(leader, known.pose, given.twins, given.domain).any():
+        known = None  # it is back
+    elif before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
+        d = ahead.rates.shape[1]
+        moved = turns_there(answer, ahead.covariance[last][:d, :d], leader, given)
+        right = was_right(before.answered, disturbed, moved)
+        if known is None or right > known.probability:
+            known = Displaced(right, answer, ahead.rates[last : last + 1])
+    return answered(replace(after, displaced=known), 0.0, given)
+
+
+def answered(after: Mixture, before: float, given: Given) -> Mixture:
+    """With what its leader is told with where it fits; else with what it was told with ``before``."""
+    if after.displaced is not None and after.displaced.probability < _LEAST:
+        after = replace(after, displaced=None)
+    fits = float(told_existence(after)[existence.FITS])
+    now = before if fits < 0.5 else fits * leading_share(after, given.twins, given.domain)
+    return replace(after, answered=now)
+
+
+def was_right(answered: float, disturbed: float, moved: float) -> float:
+    """Probability that an answer is right which another displaced, that explains the frame better.
+
+    Then something has come between (``disturbed``, the probability of that were the answer right). Else it was wrong
+    when it was told with ``answered``, or the body has turned since: ``moved``, density of that over that of any turn.
+    """
+    answered = min(answered, 1 - prior.ANSWER_WRONG)
+    right = answered * disturbed
+    return float(right / (right + (1 - answered) + answered * moved))
+
+
+def turns_there(pose: Poses, wide: Array, there: Poses, given: Given) -> float:
+    """Density with which a pose that is expected with scale ``wide`` (d, d) has turned to another, over that of any."""
+    alike = [there, *(given.domain.wrap(twin(there, one)) for one in given.twins if one.kind == "rotation")]
+    turns = local(pose, concatenate(*alike))[:, :3]
+    density = log_density(turns, wide[:3, :3], prior.POSE_DEGREES_OF_FREEDOM)
+    return float(np.exp(density + _LOG_TURNS).sum())

@@ -1,0 +1,112 @@
+"""An answer that another displaced: a body does not turn under a cloud, so either is wrong (docs/model.md, 6)."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from held_mixture import HELD, mixture
+
+from service.inference.articulation import Articulation
+from service.inference.domain import Domain
+from service.inference.filters.displaced import carried_on, turns_there, was_right, with_displaced
+from service.inference.filters.given import Predicted
+from service.inference.filters.status import told_existence
+from service.inference.model import prior
+from service.inference.params import PriorParams
+from service.inference.pose import angle_between, retract
+from service.inference.state import Displaced
+from service.inference.symmetry import Symmetry
+
+GIVEN = SimpleNamespace(twins=(), domain=Domain(144, 144, 1.0, Articulation(()), PriorParams()))
+WIDE = 1e-4 * np.eye(6)  # rad^2: the prediction is known to half a degree
+HALF_TURN = Symmetry(((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)))
+
+
+def turned(by: float, about: int = 0):
+    step = np.zeros((1, 6))
+    step[0, about] = by
+    return retract(HELD, step)
+
+
+def predicted(held, **more) -> Predicted:
+    return Predicted(
+        held.poses,
+        held.rates,
+        held.covariance,
+        held.suns,
+        held.sun_sigmas,
+        held.paint,
+        held.log_weights,
+        held.existence,
+        **more,
+    )
+
+
+def leads(pose, before, disturbed: float, displaced: Displaced | None = None):
+    """The mixture after a frame in which ``pose`` leads."""
+    after = replace(mixture(searches=4, ever=True), poses=pose)
+    return with_displaced(after, before, predicted(before, displaced=displaced), disturbed, GIVEN)
+
+
+def test_whether_the_old_answer_or_the_new_one_is_right():
+    surely = was_right(answered=1.0, disturbed=1.0, moved=0.0)
+    assert surely == pytest.approx(1 - prior.ANSWER_WRONG)
+    assert was_right(answered=1.0, disturbed=0.0, moved=0.0) == 0.0  # nothing has come between: it was wrong
+    assert was_right(answered=0.6, disturbed=0.01, moved=0.0) < 0.02  # it was as good as another
+    assert was_right(answered=0.9, disturbed=0.9, moved=0.0) == pytest.approx(0.81 / 0.91)
+    assert was_right(answered=1.0, disturbed=1.0, moved=1e3) < 1e-2  # it has turned there
+
+
+def test_a_body_turns_as_far_as_it_is_expected_to():
+    near, far = (turns_there(HELD, WIDE, turned(by), GIVEN) for by in (0.005, 3.0))
+    assert near > 1e4 and far < 1e-4
+    nothing_known = turns_there(HELD, 4.0 * np.eye(6), turned(3.0), GIVEN)
+    assert 0.1 < nothing_known < 10.0
+    twins = SimpleNamespace(twins=(HALF_TURN,), domain=GIVEN.domain)
+    assert turns_there(HELD, WIDE, turned(np.pi), twins) == pytest.approx(
+        turns_there(HELD, WIDE, HELD, GIVEN), rel=1e-6
+    )
+
+
+def test_what_has_come_between_goes_away_and_the_body_turns_on_behind_it():
+    rates = np.zeros((1, 6))
+    rates[0, 0] = 0.1
+    held = carried_on(Displaced(0.99, HELD, rates), 5.0)
+    assert np.rad2deg(angle_between(held.pose.quaternion, turned(0.5).quaternion)[0]) < 1e-6
+    odds = held.probability / (1 - held.probability)
+    assert odds == pytest.approx(99 * np.exp(-5 * prior.CHANGES_PER_S))
+    assert carried_on(None, 1.0) is None
+
+
+def test_an_answer_far_from_one_that_was_sure_is_not_believed_where_something_has_come_between():
+    before = replace(mixture(ever=True), answered=1.0)
+    after = leads(turned(2.0), before, disturbed=1.0)
+    assert after.displaced is not None and after.displaced.probability > 0.99 and after.answered == 0.0
+    assert told_existence(after)[2] > 0.99
+    undisturbed = leads(turned(2.0), before, disturbed=1e-4)
+    assert told_existence(undisturbed)[1] > 0.9 * told_existence(replace(undisturbed, displaced=None))[1]
+    unsure = leads(turned(2.0), replace(before, answered=0.3), disturbed=0.05)
+    assert unsure.displaced.probability < 0.05 and unsure.answered > 0.5
+
+
+def test_the_answer_that_was_displaced_is_known_again():
+    held = Displaced(0.99, turned(2.0), np.zeros((1, 6)))
+    before = replace(mixture(ever=True), answered=0.005, displaced=held)
+    assert leads(turned(2.03), before, 1.0, held).displaced is None
+    other = leads(turned(1.0), before, 1.0, held)  # a third answer is not the first one
+    assert other.displaced is held
+    assert leads(HELD, before, 0.0, held).displaced is held  # nor is the one that displaced it
+
+
+def test_unseen_it_may_turn_anywhere():
+    before = replace(mixture(existence=(0.9, 0.1, 0.0), ever=True), answered=1.0)
+    assert leads(turned(2.0), before, disturbed=1.0).displaced is None
+
+
+def test_what_a_leader_is_told_with_is_kept_while_it_does_not_fit():
+    told = leads(HELD, mixture(ever=True), 0.0)
+    assert told.answered == pytest.approx(told_existence(told)[1])
+    before = replace(mixture(ever=True), answered=0.97)
+    covered = replace(mixture(existence=(0.0, 0.1, 0.9), ever=True), poses=HELD)
+    assert with_displaced(covered, before, predicted(before), 0.0, GIVEN).answered == 0.97
