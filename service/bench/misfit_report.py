@@ -25,30 +25,36 @@ def misfit_document(machine: Mapping[str, Any], rows: Sequence[MisfitRow]) -> di
 def misfit_tables(document: Mapping[str, Any]) -> list[Table]:
     """One line a pass, and the totals."""
     single = Table(title="misfits")
-    for name in ("kind", "case", "model", "from", "noticed after", "tracking", "statuses"):
+    for name in ("kind", "case", "model", "from", "noticed after", "tracking", "wrong", "statuses"):
         single.add_column(name)
     for row in document["rows"]:
         words = " ".join(_SHORT.get(status, status) for status in row["statuses"])
         noticed = "never" if row["noticed_after"] is None else str(row["noticed_after"])
         facts = (row["kind"], row["case"], row["model"], str(row["from_frame"]), noticed, f"{row['tracking']:.2f}")
-        single.add_row(*facts, words)
+        single.add_row(*facts, _told(row["wrong"]), words)
     total = Table(title=f"noticed: no_fit, lost or ambiguous within {WITHIN} frames")
-    for name in ("kind", "passes", "noticed", "tracking at the end", "share of frames tracking"):
+    for name in ("kind", "passes", "noticed", "tracking at the end", "share of frames tracking", "and wrong"):
         total.add_column(name)
     for kind, one in document["overall"].items():
         shares = (f"{one[name]:.2f}" for name in ("noticed", "tracking_at_end", "tracking"))
-        total.add_row(kind, str(one["passes"]), *shares)
+        total.add_row(kind, str(one["passes"]), *shares, _told(one["wrong"]))
     return [single, total]
+
+
+def _told(share: float | None) -> str:
+    return "-" if share is None else f"{share:.2f}"
 
 
 _SHORT = {"tracking": "T", "acquiring": "a", "ambiguous": "A", "no_fit": "n", "lost": "l", "no_target": "0"}
 
 
-def _overall(rows: Sequence[MisfitRow]) -> dict[str, float]:
+def _overall(rows: Sequence[MisfitRow]) -> dict[str, float | None]:
     count = max(len(rows), 1)
+    wrong = [row.wrong for row in rows if row.wrong is not None]
     return {
         "passes": len(rows),
         "noticed": sum(row.in_time for row in rows) / count,
         "tracking_at_end": sum(row.last == "tracking" for row in rows) / count,
         "tracking": sum(row.tracking for row in rows) / count,
+        "wrong": sum(wrong) / len(wrong) if wrong else None,
     }

@@ -14,6 +14,8 @@ import numpy as np
 from service.bench.brightness import counts, grey, pixels
 from service.bench.cases import Case, TruthFrame
 from service.bench.runner import Entry, Terms, open_session
+from service.bench.scoring import Referee
+from service.bench.summary import WITHIN_DEG
 from service.imaging.decode import Pixels
 from service.simulate.folder import encode_png
 from service.workers.tracker import Tracker
@@ -37,6 +39,7 @@ class MisfitRow:
     tracking: float  # share of the spoilt frames
     last: str
     statuses: tuple[str, ...]
+    wrong: float | None = None  # share of the spoilt frames that is ``tracking`` and off; None: there is no right pose
 
     @property
     def in_time(self) -> bool:
@@ -95,15 +98,26 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
     """Follow one, and say when it was noticed."""
     case = misfit.case
     session = open_session(tracker, case, entry, list(case.backgrounds()), terms.told)
-    said = [
-        session.track(tracker, k, truth.time_s, body).estimate.status
-        for k, (body, truth) in enumerate(islice(case.frames(), terms.limit))
-    ]
+    referee, said, off = Referee(case), [], []
+    for k, (body, truth) in enumerate(islice(case.frames(), terms.limit)):
+        estimate = session.track(tracker, k, truth.time_s, body).estimate
+        said.append(estimate.status)
+        off.append(referee.error_deg(truth, estimate.best) > WITHIN_DEG if misfit.kind == "cloud" else False)
     spoilt = said[misfit.from_frame :]
+    pairs = zip(spoilt, off[misfit.from_frame :], strict=True)
+    wrong = sum(status == "tracking" and far for status, far in pairs) / len(spoilt)
     noticed = next((k + 1 for k, status in enumerate(spoilt) if status in NOTICED), None)
     share = spoilt.count("tracking") / len(spoilt)
     return MisfitRow(
-        misfit.kind, case.name, case.model.name, misfit.from_frame, noticed, share, spoilt[-1], tuple(said)
+        kind=misfit.kind,
+        case=case.name,
+        model=case.model.name,
+        from_frame=misfit.from_frame,
+        noticed_after=noticed,
+        tracking=share,
+        last=spoilt[-1],
+        statuses=tuple(said),
+        wrong=wrong if misfit.kind == "cloud" else None,
     )
 
 

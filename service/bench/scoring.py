@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import fdtr
 
 from service.bench.cases import Case, TruthFrame
 from service.bench.silhouette import Mask, fine_silhouette, overlap
 from service.inference.articulation import Articulation, Joint, hold
-from service.inference.pose import angle_between, concatenate
+from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
+from service.inference.pose import angle_between, concatenate, conjugate, log_so3, multiply
 from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses
 from service.inference.symmetry import Symmetry, twin
 from service.models.symmetry_group import held_symmetries, make_symmetry
@@ -42,6 +44,7 @@ class FrameScore:
     n_modes: int = 0
     twins_reported: bool | None = None  # None: the body has no mirror plane
     raw_deg: float = _NAN  # of ``best``, no symmetry excusing anything
+    region: float = _NAN  # probability of the nearest mode's own region that just reaches the true rotation
 
 
 class Referee:
@@ -67,7 +70,7 @@ class Referee:
         angles = _angles_deg(best, alike)
         joint, position = self._nearest(best, alike, angles)
         modes = [mode for mode in estimate.modes if mode.weight >= LEAST_WEIGHT]
-        nearest_deg, width_deg = _nearest_mode(modes, estimate, alike, float(angles.min()))
+        nearest_deg, width_deg, region = _nearest_mode(modes, estimate, alike)
         return FrameScore(
             index=index,
             time_s=truth.time_s,
@@ -76,6 +79,7 @@ class Referee:
             ms=ms,
             orientation_deg=float(angles.min()),
             raw_deg=float(angles[0]),
+            region=region,
             modes_deg=nearest_deg,
             ratio=nearest_deg / width_deg if width_deg else _NAN,
             position_px=position,
@@ -85,6 +89,12 @@ class Referee:
             n_modes=max(1, len(modes)),
             twins_reported=self._twins_reported(estimate.modes, alike),
         )
+
+    def error_deg(self, truth: TruthFrame, found: PoseEstimate) -> float:
+        """Degrees between a rotation and the nearest that looks as the true one does."""
+        true = truth.poses(self.articulation)
+        alike = concatenate(true, *(twin(true, symmetry) for symmetry in self._alike))
+        return float(_angles_deg(found, alike).min())
 
     def _nearest(self, found: PoseEstimate, alike: Poses, angles: Array) -> tuple[float, float]:
         """Joint and position error against those of the alike poses that are nearest in orientation."""
@@ -118,13 +128,26 @@ def ambiguity(case: Case, held: Articulation) -> tuple[Symmetry, ...]:
     return tuple(make_symmetry(matrix, np.zeros(3), (1.0,) * n, (0.0,) * n) for matrix in case.symmetries)
 
 
-def _nearest_mode(modes: Sequence[Mode], estimate: Estimate, alike: Poses, best_deg: float) -> tuple[float, float]:
-    """Error of the nearest reported mode, and its spread (the whole estimate's where it has none)."""
-    errors = [float(_angles_deg(mode.pose, alike).min()) for mode in modes]
-    if not errors:
-        return best_deg, estimate.spread.orientation_deg
-    k = int(np.argmin(errors))
-    return errors[k], modes[k].spread.orientation_deg or estimate.spread.orientation_deg
+def region_of(off: Array, covariance: Array) -> float:
+    """Probability of the region of a Student t about a rotation (``model.prior.POSE_DEGREES_OF_FREEDOM``) that reaches
+    ``off`` (3), of covariance (3, 3) in the same unit; NaN where that is none.
+    """
+    degrees = POSE_DEGREES_OF_FREEDOM
+    if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance).min() <= 0:
+        return _NAN
+    square = off @ np.linalg.solve(covariance * (degrees - 2) / degrees, off)
+    return float(fdtr(3, degrees, square / 3))
+
+
+def _nearest_mode(modes: Sequence[Mode], estimate: Estimate, alike: Poses) -> tuple[float, float, float]:
+    """Error of the nearest reported mode, its spread (the whole estimate's where it has none), and its region."""
+    told = [(mode.pose, mode.spread) for mode in modes] or [(estimate.best, estimate.spread)]
+    angles = np.array([_angles_deg(pose, alike) for pose, _ in told])
+    k, true = np.unravel_index(int(np.argmin(angles)), angles.shape)
+    pose, spread = told[k]
+    off = np.rad2deg(log_so3(multiply(conjugate(pose.quaternion[None]), alike.quaternion[true : true + 1])))[0]
+    width = spread.orientation_deg or estimate.spread.orientation_deg
+    return float(angles[k, true]), width, region_of(off, spread.covariance[:3, :3])
 
 
 def _angles_deg(found: PoseEstimate, alike: Poses) -> Array:

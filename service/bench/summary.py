@@ -9,7 +9,9 @@ by less than 5 degrees; ``right_twin``: share in which the best pose is, and is 
 ``tracked``: share of all frames that show the object, from the first one, that is answered ``tracking``, and
 ``tracked_right``, of those: off by less than 5 degrees;
 ``pos_med`` (px), ``scale_med`` (%), ``joint_med`` (degrees), ``iou_med``; ``cover50``,
-``cover90``: share of frames in which the nearest mode's error lies within its own 50 and 90 % radius; ``ms_med``,
+``cover90``: share of frames in which the nearest mode's error lies within its own 50 and 90 % radius, were it an
+isotropic Gaussian of its RMS spread; ``region50``, ``region90``: within the region that the mode itself states, a
+Student t's of its covariance; ``ms_med``,
 ``ms_p95``: time per frame, from the image file to the answer. ``first_ms``: the same of the first frame that shows the
 object, the model being prepared.
 ``blank_ok``: share of the frames without the object that are answered ``no_target``; ``reacquired``: frames after
@@ -83,6 +85,8 @@ def case_row(result: CaseResult) -> Row:
         "iou_med": _median(late, lambda f: f.iou, 3),
         "cover50": round(coverage(late, 0.5), 2),
         "cover90": round(coverage(late, 0.9), 2),
+        "region50": _share((f.region <= 0.5 for f in late), 2),
+        "region90": _share((f.region <= 0.9 for f in late), 2),
         "blank_ok": _share((f.status == "no_target" for f in blank), 2) if blank else None,
         "reacquired": _reacquired(result.frames),
         "twins_reported": _share(twins) if twins else None,
@@ -110,7 +114,8 @@ def overall_row(preset: str, rows: Sequence[Row]) -> Row:
         **{name: _over(mine, name, np.median, 2) for name in ("pos_med", "scale_med")},
         "joint_med": _over([row for row in mine if row["joints"]], "joint_med", np.median, 2),
         "iou_med": _over(mine, "iou_med", np.mean, 3),
-        **{name: _over(mine, name, np.mean, 3) for name in ("cover50", "cover90", "blank_ok", "twins_reported")},
+        **{name: _over(mine, name, np.mean, 3) for name in ("cover50", "cover90", "region50", "region90")},
+        **{name: _over(mine, name, np.mean, 3) for name in ("blank_ok", "twins_reported")},
         "hard90": _over(_hardest(mine), "cover90", np.mean, 3),
         "reacquired": _over(mine, "reacquired", np.max, 0),
         **{name: _over(mine, name, np.median, 1) for name in ("first_ms", "ms_med", "ms_p95")},

@@ -69,11 +69,12 @@ def test_what_is_noticed_in_time_and_what_ends_wrongly_are_counted():
     rows = [
         MisfitRow("mesh", "a", "m", 0, 1, 0.0, "no_fit", ("no_fit",)),
         MisfitRow("mesh", "b", "m", 0, 6, 0.8, "tracking", ("tracking",)),
-        MisfitRow("cloud", "b", "m", 2, None, 0.0, "acquiring", ("acquiring",)),
+        MisfitRow("cloud", "b", "m", 2, None, 0.0, "acquiring", ("acquiring",), 0.0),
+        MisfitRow("cloud", "c", "m", 2, 1, 0.5, "tracking", ("no_fit", "tracking"), 0.5),
     ]
     overall = misfit_document({}, rows)["overall"]
-    assert overall["mesh"] == {"passes": 2, "noticed": 0.5, "tracking_at_end": 0.5, "tracking": 0.4}
-    assert (overall["cloud"]["noticed"], overall["cloud"]["tracking_at_end"]) == (0.0, 0.0)
+    assert overall["mesh"] == {"passes": 2, "noticed": 0.5, "tracking_at_end": 0.5, "tracking": 0.4, "wrong": None}
+    assert (overall["cloud"]["noticed"], overall["cloud"]["wrong"]) == (0.5, 0.25)
     assert "mirror" not in overall
 
 

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.bench.scoring import Referee
+from service.bench.scoring import Referee, region_of
+from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
+from service.inference.numerics.student import draw
 from service.inference.pose import exp_so3, from_matrices, multiply, rotation_matrices
 from service.inference.state import Poses
 from service.inference.symmetry import twin
@@ -109,3 +111,11 @@ def test_the_public_evaluator_agrees(evaluator, shared, shelf, case_of, answer, 
     assert score.iou == pytest.approx(evaluator.iou(*masks), abs=2e-3)
     symmetries = [np.eye(3), *listed]
     assert score.orientation_deg == pytest.approx(evaluator.ang([x, y, z, w], true, symmetries), abs=1e-4)
+
+
+def test_a_stated_region_is_a_student_ts_of_its_covariance():
+    rng, scale = np.random.default_rng(0), np.diag([1.0, 4.0, 0.25])
+    draws = draw(rng, scale, POSE_DEGREES_OF_FREEDOM, 4000)
+    regions = np.array([region_of(one, 2.0 * scale) for one in draws])  # of 4 degrees: twice the scale
+    assert [float(np.mean(regions <= share)) for share in (0.5, 0.9)] == pytest.approx([0.5, 0.9], abs=0.025)
+    assert np.isnan(region_of(np.zeros(3), np.zeros((3, 3))))
