@@ -1,7 +1,8 @@
 """Poses moved across to where a frame shows their light: the air and the mount move a picture as a whole.
 
 One picture a pose is drawn, with the paint that is expected; its brightness, the level of the sky and its place are
-fitted. It costs a third of a look (docs/model.md, section 3), in which all unknowns of the light are.
+fitted, and by day, with another picture, how much of the sky it hides. It costs a third of a look (docs/model.md,
+section 3), in which all unknowns of the light are.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import t_log_density
 from service.inference.model.paint import painted
-from service.inference.model.prior import DEGREES_OF_FREEDOM
+from service.inference.model.prior import DEGREES_OF_FREEDOM, HIDDEN_MEAN, HIDDEN_SIGMA
 from service.inference.model.scene import Images
 from service.inference.model.spread import spread_slopes
 from service.inference.model.terms import Terms
@@ -29,8 +30,7 @@ _FAINT = 1e-3  # numerical: of the brightest pixel: what is less moves nothing
 def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
     """The N poses at their best places (frame px), everything else as it is; where nothing is better, as they are."""
     terms = painted(hill.terms, believed.paint)
-    images = hill.drawing.combined(poses, suns, _expected_light(terms, hill.drawing.n_groups), hill.view, hill.quality)
-    pictures = np.stack(spread_slopes(images, hill.scene.point_spread, hill.scene.smoothing), axis=1)
+    pictures = _expected(hill, poses, suns, terms)
     whole = np.linalg.inv(believed.precision)[:, 3:5, 3:5] / hill.view.binning**2  # patch px
     away = (poses.position - believed.means.position) / hill.view.binning
     reach = hill.trust.place * hill.drawing.radius * np.exp(poses.log_scale) / hill.view.binning
@@ -40,6 +40,18 @@ def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
         for k in range(len(poses))
     ]
     return replace(poses, position=poses.position + hill.view.binning * np.array(moves).reshape(-1, 2))
+
+
+def _expected(hill: Hill, poses: Poses, suns: Array, terms: Terms) -> Images:
+    """(N, M, 3, S, S) pictures with their slopes: the body's light, the gain one; by day the sky that it hides, too."""
+    shares = [_expected_light(terms, hill.drawing.n_groups)]
+    if terms.hidden > np.exp(terms.gain):  # by day: the sky is brighter than a white surface
+        cover = np.zeros_like(shares[0])
+        cover[:, hill.drawing.n_groups] = -terms.hidden
+        shares.append(cover)
+    drawn = [hill.drawing.combined(poses, suns, share, hill.view, hill.quality) for share in shares]
+    pictures = spread_slopes(np.stack(drawn, axis=1), hill.scene.point_spread, hill.scene.smoothing)
+    return np.stack(pictures, axis=2)
 
 
 def _expected_light(terms: Terms, n_groups: int) -> Images:
@@ -57,43 +69,53 @@ def _paint_variance(terms: Terms) -> Images:
     return np.asarray(np.sum(shares / terms.precision[:, :count], axis=1) / np.sum(shares, axis=1), np.float32)
 
 
-def _move(terms: Terms, pictures: Images, precision: Array, away: Array, reach: float, unsure: float) -> Array:
-    """(2,) patch px by which a picture, here with its slopes (3, S, S), lies best; what is expected of it counts."""
-    window = _around(pictures[0], reach)
-    pictures, data, full = pictures[:, *window], terms.data[window], terms.full[window]
-    starry = terms.stars[window] > 0
-    power = float(np.sum(pictures[0] ** 2))
-    gain = float(np.sum(pictures[0] * data)) / max(power, 1e-12)
-    if gain <= 0:
+def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: float, unsure: float) -> Array:
+    """(2,) patch px by which pictures, here with their slopes (M, 3, S, S), lie best; what is expected of it counts."""
+    window = _around(parts[-1, 0], reach)
+    parts, data, full = parts[..., *window], terms.data[window], terms.full[window]
+    starry, m = terms.stars[window] > 0, len(parts)
+    precise, mean = np.zeros(m), np.zeros(m)  # of the brightness of each: none is known of the light's
+    precise[1:], mean[1:] = HIDDEN_SIGMA**-2, HIDDEN_MEAN
+    flat = parts[:, 0].reshape(m, -1).astype(np.float64)
+    normal = flat @ flat.T / terms.noise + np.diag(precise + 1e-12)
+    bright = np.linalg.solve(normal, flat @ data.ravel() / terms.noise + precise * mean)
+    if bright[-1] <= 0:  # nothing of it shows
         return np.zeros(2)
-    best, highest, move, level = np.zeros(2), -np.inf, np.zeros(2), 0.0
+    bright[0] = max(bright[0], 0.0)
+    least, best, highest, move, level = 1e-3 * bright[0], np.zeros(2), -np.inf, np.zeros(2), 0.0
     for _ in range(_ROUNDS + 1):
-        there = _shifted(pictures, move)
-        light = np.float32(gain) * there[0]
-        residual = data - light - np.float32(level)
+        there = np.stack([_shifted(one, move) for one in parts])
+        picture, dx, dy = np.tensordot(bright.astype(np.float32), there, 1)
+        light = np.float32(bright[0]) * there[0, 0]
+        residual = data - picture - np.float32(level)
         residual[full] = np.maximum(residual[full], 0.0)  # at least so much light
         residual[starry] = np.minimum(residual[starry], 0.0)  # a star's, where it is more
         variance = (terms.noise + terms.photon * np.maximum(light, 0)) / terms.area
         variance = variance + np.float32(terms.wrong + unsure) * light**2
-        off = away + move
-        score = float(np.sum(t_log_density(residual, variance))) / terms.area - 0.5 * float(off @ precision @ off)
+        off, aside = away + move, bright - mean
+        score = float(np.sum(t_log_density(residual, variance))) / terms.area
+        score -= 0.5 * float(off @ precision @ off + precise @ aside**2)
         if score <= highest:
             break
         best, highest = move, score
         weight = (DEGREES_OF_FREEDOM + 1) / ((DEGREES_OF_FREEDOM * variance + residual**2) * terms.area)
-        columns = np.stack([there[0], np.ones_like(light), -gain * there[1], -gain * there[2]]).reshape(4, -1)
+        columns = np.stack([*there[:, 0], np.ones_like(light), -dx, -dy]).reshape(m + 3, -1)
         weighted = columns * weight.ravel()
         normal, pull = (weighted @ columns.T).astype(np.float64), (weighted @ residual.ravel()).astype(np.float64)
-        normal[2:, 2:] += precision + np.eye(2) / reach**2
-        pull[2:] -= precision @ off
+        normal[:m, :m] += np.diag(precise)
+        pull[:m] -= precise * aside
+        normal[-2:, -2:] += precision + np.eye(2) / reach**2
+        pull[-2:] -= precision @ off
         step = np.linalg.solve(normal, pull)
-        gain, level, move = max(gain + float(step[0]), 1e-3 * gain), level + float(step[1]), move + step[2:]
+        bright, level, move = bright + step[:m], level + float(step[m]), move + step[-2:]
+        bright[0] = max(bright[0], least)
     return best
 
 
 def _around(picture: Images, reach: float) -> tuple[slice, slice]:
-    """Rows and columns of a picture's light, and as far about it as it may move in a few steps."""
-    more, bright = int(np.ceil(2 * reach)), picture >= _FAINT * picture.max()
+    """Rows and columns of what a picture shows, and as far about it as it may move in a few steps."""
+    shown = np.abs(picture)
+    more, bright = int(np.ceil(2 * reach)), shown >= _FAINT * shown.max()
     spans = (np.flatnonzero(bright.any(axis=axis)) for axis in (1, 0))
     rows, columns = (slice(max(int(at[0]) - more, 0), int(at[-1]) + 1 + more) for at in spans)
     return rows, columns

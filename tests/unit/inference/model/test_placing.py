@@ -44,6 +44,17 @@ def test_a_body_that_jumped_is_where_its_light_is():
     np.testing.assert_array_equal(out.quaternion, np.repeat(pose().quaternion, 3, 0))
 
 
+def test_by_day_a_body_is_where_the_sky_is_hidden():
+    """It is darker than the sky, of which it hides more than is expected."""
+    drawing, sky = lit_body(), 60.0
+    cover = np.zeros(len(shares(drawing, 1.0)), np.float32)
+    cover[drawing.n_groups] = 1.0
+    day = frame(-0.8 * sky * seen(pose(), cover), gain=15.0, sky=sky)
+    assert day.data.min() < -20.0 and day.gain < np.log(sky)
+    out = found(day, concatenate(moved(OFF), moved(-OFF), pose()))
+    np.testing.assert_allclose(out.position, np.repeat(pose().position, 3, 0), atol=0.5)
+
+
 def test_what_is_known_of_its_place_counts():
     out = found(frame(), moved(OFF), sigma_px=1e-4)
     np.testing.assert_allclose(out.position, moved(OFF).position, atol=0.01)
