@@ -15,7 +15,7 @@ import numpy as np
 from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import t_log_density
 from service.inference.model.paint import painted
-from service.inference.model.prior import DEGREES_OF_FREEDOM, HIDDEN_MEAN, HIDDEN_SIGMA
+from service.inference.model.prior import DEGREES_OF_FREEDOM, GAIN_SIGMA, HIDDEN_MEAN, HIDDEN_SIGMA
 from service.inference.model.scene import Images
 from service.inference.model.spread import spread_slopes
 from service.inference.model.terms import Terms
@@ -74,10 +74,12 @@ def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: flo
     window = _around(parts[-1, 0], reach)
     parts, data, full = parts[..., *window], terms.data[window], terms.full[window]
     starry, m = terms.stars[window] > 0, len(parts)
-    precise, mean = np.zeros(m), np.zeros(m)  # of the brightness of each: none is known of the light's
+    if not parts[-1, 0].any():
+        return np.zeros(2)
+    precise, mean = np.full(m, np.exp(-2 * (terms.gain + GAIN_SIGMA))), np.zeros(m)  # of the brightness of each
     precise[1:], mean[1:] = HIDDEN_SIGMA**-2, HIDDEN_MEAN
     flat = parts[:, 0].reshape(m, -1).astype(np.float64)
-    normal = flat @ flat.T / terms.noise + np.diag(precise + 1e-12)
+    normal = flat @ flat.T / terms.noise + np.diag(precise)
     bright = np.linalg.solve(normal, flat @ data.ravel() / terms.noise + precise * mean)
     if bright[-1] <= 0:  # nothing of it shows
         return np.zeros(2)

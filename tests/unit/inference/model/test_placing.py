@@ -9,12 +9,12 @@ from lit_body import FINEST, QUALITY, SIDE, SUN, VIEW, lit_body, pose, scene, se
 from service.inference.model.paint import unlearnt
 from service.inference.model.scene import Scene
 from service.inference.numerics.hill import Hill
-from service.inference.numerics.placing import placed
+from service.inference.numerics.placing import _move, placed
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import concatenate
 from service.inference.state import Poses
 
-SIGMA = 4.0
+SIGMA, SKY = 4.0, 60.0
 OFF = np.array([[2.6, -1.7]])
 
 
@@ -44,13 +44,17 @@ def test_a_body_that_jumped_is_where_its_light_is():
     np.testing.assert_array_equal(out.quaternion, np.repeat(pose().quaternion, 3, 0))
 
 
-def test_by_day_a_body_is_where_the_sky_is_hidden():
-    """It is darker than the sky, of which it hides more than is expected."""
-    drawing, sky = lit_body(), 60.0
-    cover = np.zeros(len(shares(drawing, 1.0)), np.float32)
-    cover[drawing.n_groups] = 1.0
-    day = frame(-0.8 * sky * seen(pose(), cover), gain=15.0, sky=sky)
-    assert day.data.min() < -20.0 and day.gain < np.log(sky)
+def by_day(gain: float = 15.0) -> Scene:
+    """A body darker than the sky, of which it hides more than is expected."""
+    cover = np.zeros(len(shares(lit_body(), 1.0)), np.float32)
+    cover[lit_body().n_groups] = 1.0
+    return frame(-0.8 * SKY * seen(pose(), cover), gain=gain, sky=SKY)
+
+
+@pytest.mark.parametrize("gain", [15.0, 0.0])
+def test_by_day_a_body_is_where_the_sky_is_hidden(gain):
+    day = by_day(gain)
+    assert day.data.min() < -20.0 and day.gain < np.log(SKY)
     out = found(day, concatenate(moved(OFF), moved(-OFF), pose()))
     np.testing.assert_allclose(out.position, np.repeat(pose().position, 3, 0), atol=0.5)
 
@@ -66,9 +70,21 @@ def test_where_there_is_no_light_it_stays(gain):
     assert np.abs(out.position - moved(OFF).position).max() < 1.0
 
 
-def test_a_body_that_is_expected_outside_of_the_patch_stays_there():
+@pytest.mark.parametrize("given", [frame, by_day])
+def test_a_body_that_is_expected_outside_of_the_patch_stays_there(given):
     away = moved(np.array([[500.0, 0.0]]))
-    np.testing.assert_array_equal(found(frame(), away).position, away.position)
+    np.testing.assert_array_equal(found(given(), away).position, away.position)
+
+
+def test_unlit_before_the_sky_it_is_where_the_sky_is_hidden():
+    """Its light's picture is empty, and nothing is divided by it."""
+    parts = np.zeros((2, 3, SIDE, SIDE), np.float32)
+    y, x = np.mgrid[:SIDE, :SIDE] - SIDE / 2
+    blob = -SKY * np.exp(-(x**2 + y**2) / 50)
+    parts[1] = blob, -x / 25 * blob, -y / 25 * blob
+    terms = Hill(scene(np.roll(blob, 2, 1), SIGMA, sky=SKY, low_pass=FINEST), lit_body(), VIEW, PosePrior()).terms
+    move = _move(terms, parts, 1e-4 * np.eye(2), np.zeros(2), 5.0, 0.5)
+    assert move == pytest.approx([2.0, 0.0], abs=0.2)
 
 
 def test_a_star_beside_it_does_not_draw_it_away():
