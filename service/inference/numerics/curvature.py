@@ -35,8 +35,8 @@ def systems_of(
     at: NDArray[np.intp] | None = None,
 ) -> tuple[Array, Array, Array]:
     """Curvature (N, D, D) and slope (N, D) of each log posterior, the linear unknowns eliminated; and the curvature of
-    which a spread is stated: with the discrepancy's scale as it is seen, and as if the paint were unknown, since it was
-    learnt from poses that erred as this one does.
+    which a spread is stated: with the discrepancy's scale as it is seen, and as if paint and Sun were unknown, since
+    they were learnt from poses that erred as this one does.
 
     ``slopes`` (N, D, S, S). D: rotation (rad), place (frame px), log scale, joints, and the Sun (rad, two axes across
     it) where it is free.
@@ -47,10 +47,11 @@ def systems_of(
     else:
         normal, taken, unpainted, pull = hill.drawing.slopes.systems(slopes, [fit.row for fit in fits], known)
     sure, push = _prior(hill, poses, suns)
+    sunless = sure
     if believed is not None and at is not None:
-        _add_believed(hill, believed, at, poses, suns, sure, push)
+        sunless = _add_believed(hill, believed, at, poses, suns, sure, push)
     seen = np.array([scale_seen(fit.chi2) for fit in fits])
-    return normal + sure - taken, pull + push, (normal - unpainted) / seen[:, None, None] + sure
+    return normal + sure - taken, pull + push, (normal - unpainted) / seen[:, None, None] + sunless
 
 
 def eliminated(fits: list[Fit], slopes: Images, known: Array | None) -> tuple[Array, Array, Array, Array]:
@@ -136,13 +137,17 @@ def _prior(hill: Hill, poses: Poses, suns: Array) -> tuple[Array, Array]:
 
 def _add_believed(
     hill: Hill, believed: Believed, at: NDArray[np.intp], poses: Poses, suns: Array, normal: Array, pull: Array
-) -> None:
-    """What earlier frames say of the poses that are numbered ``at``."""
+) -> Array:
+    """What earlier frames say of the poses that are numbered ``at``; without what they say of the Sun, its curvature
+    (n, D, D).
+    """
     d = believed.precision.shape[1]
     normal[:, :d, :d] += believed.precision[at]
     pull[:, :d] -= np.einsum("nij,nj->ni", believed.precision[at], believed.away(poses, at))
+    sunless = normal.copy()
     if hill.sun_free and hill.told.towards_sun is None:
         for k, sun in enumerate(suns):
             sure = believed.sun_precision[at[k]]
             normal[k, range(d, d + 2), range(d, d + 2)] += sure
             pull[k, d:] += sure * (across(sun) @ (believed.suns[at[k]] - sun))
+    return sunless

@@ -10,12 +10,13 @@ from scipy.optimize import least_squares
 from service.inference.model.derivatives import across, steps_of
 from service.inference.model.drawing import Quality
 from service.inference.model.likelihood import ROUNDS
+from service.inference.model.paint import unlearnt
 from service.inference.model.scene import Scene, sky_slopes
 from service.inference.model.spread import spread
 from service.inference.numerics.curvature import eliminated, paint_variance, scale_seen, slopes_of, systems_of
 from service.inference.numerics.gauss_newton import _look, _moved, ascend, within
 from service.inference.numerics.hill import Hill, Refined
-from service.inference.numerics.priors import PosePrior
+from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import concatenate, local, retract
 from service.inference.state import Poses
 
@@ -247,3 +248,16 @@ def test_in_squares_of_pixels_places_are_still_those_of_the_frame():
     error = local(pose(), found.pose)[0]
     assert np.rad2deg(np.linalg.norm(error[:3])) < 1.0
     assert np.abs(error[3:5]).max() < 0.2
+
+
+def test_a_spread_is_stated_as_if_the_sun_were_unknown_that_frames_have_told():
+    """It was learnt from poses that erred as this one does; where it is told, it counts."""
+    on = Hill(frame(), lit_body(), VIEW, PosePrior(), quality=QUALITY)
+    fits, _ = _look(on, pose(), SUN[None])
+    slopes, free = slopes_of(on, pose(), SUN[None], fits), np.zeros((1, 7, 7))
+    paint = np.tile(unlearnt(len(fits[0].coefficients)), (1, 1, 1))
+    told = [Believed(pose(), free, np.array([True]), paint, SUN[None], np.array([sure])) for sure in (0.0, 1e6)]
+    here = np.array([0])
+    blind, sure = (systems_of(on, pose(), SUN[None], fits, slopes, one, here) for one in told)
+    np.testing.assert_allclose(sure[0][0, 7:, 7:] - blind[0][0, 7:, 7:], 1e6 * np.eye(2), rtol=1e-6, atol=1.0)
+    np.testing.assert_array_equal(sure[2], blind[2])
