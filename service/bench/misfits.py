@@ -98,14 +98,14 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
     """Follow one, and say when it was noticed."""
     case = misfit.case
     session = open_session(tracker, case, entry, list(case.backgrounds()), terms.told)
-    referee, said, off = Referee(case), [], []
+    referee = Referee(case) if misfit.kind == "cloud" else None  # of the others no pose is right
+    said, wrong = [], 0
     for k, (body, truth) in enumerate(islice(case.frames(), terms.limit)):
         estimate = session.track(tracker, k, truth.time_s, body).estimate
         said.append(estimate.status)
-        off.append(referee.error_deg(truth, estimate.best) > WITHIN_DEG if misfit.kind == "cloud" else False)
+        if referee is not None and k >= misfit.from_frame and estimate.status == "tracking":
+            wrong += referee.error_deg(truth, estimate.best) > WITHIN_DEG
     spoilt = said[misfit.from_frame :]
-    pairs = zip(spoilt, off[misfit.from_frame :], strict=True)
-    wrong = sum(status == "tracking" and far for status, far in pairs) / len(spoilt)
     noticed = next((k + 1 for k, status in enumerate(spoilt) if status in NOTICED), None)
     share = spoilt.count("tracking") / len(spoilt)
     return MisfitRow(
@@ -117,7 +117,7 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
         tracking=share,
         last=spoilt[-1],
         statuses=tuple(said),
-        wrong=wrong if misfit.kind == "cloud" else None,
+        wrong=None if referee is None else wrong / len(spoilt),
     )
 
 

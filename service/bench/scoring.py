@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtr
 
 from service.bench.cases import Case, TruthFrame
 from service.bench.silhouette import Mask, fine_silhouette, overlap
 from service.inference.articulation import Articulation, Joint, hold
 from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
-from service.inference.pose import angle_between, concatenate, conjugate, log_so3, multiply
+from service.inference.numerics.student import share_within
+from service.inference.pose import angle_between, concatenate, local
 from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses
 from service.inference.symmetry import Symmetry, twin
 from service.models.symmetry_group import held_symmetries, make_symmetry
@@ -64,9 +64,7 @@ class Referee:
         """Hold an answer against the truth; ``real`` is the true silhouette, None for a frame without the body."""
         if real is None:
             return FrameScore(index, truth.time_s, False, estimate.status, ms)
-        true = truth.poses(self.articulation)
-        alike = concatenate(true, *(twin(true, symmetry) for symmetry in self._alike))
-        best = estimate.best
+        alike, best = self._alike_to(truth), estimate.best
         angles = _angles_deg(best, alike)
         joint, position = self._nearest(best, alike, angles)
         modes = [mode for mode in estimate.modes if mode.weight >= LEAST_WEIGHT]
@@ -92,9 +90,12 @@ class Referee:
 
     def error_deg(self, truth: TruthFrame, found: PoseEstimate) -> float:
         """Degrees between a rotation and the nearest that looks as the true one does."""
+        return float(_angles_deg(found, self._alike_to(truth)).min())
+
+    def _alike_to(self, truth: TruthFrame) -> Poses:
+        """The true pose, and those that look as it does."""
         true = truth.poses(self.articulation)
-        alike = concatenate(true, *(twin(true, symmetry) for symmetry in self._alike))
-        return float(_angles_deg(found, alike).min())
+        return concatenate(true, *(twin(true, symmetry) for symmetry in self._alike))
 
     def _nearest(self, found: PoseEstimate, alike: Poses, angles: Array) -> tuple[float, float]:
         """Joint and position error against those of the alike poses that are nearest in orientation."""
@@ -136,7 +137,7 @@ def region_of(off: Array, covariance: Array) -> float:
     if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance).min() <= 0:
         return _NAN
     square = off @ np.linalg.solve(covariance * (degrees - 2) / degrees, off)
-    return float(fdtr(3, degrees, square / 3))
+    return share_within(float(square), 3, degrees)
 
 
 def _nearest_mode(modes: Sequence[Mode], estimate: Estimate, alike: Poses) -> tuple[float, float, float]:
@@ -145,7 +146,7 @@ def _nearest_mode(modes: Sequence[Mode], estimate: Estimate, alike: Poses) -> tu
     angles = np.array([_angles_deg(pose, alike) for pose, _ in told])
     k, true = np.unravel_index(int(np.argmin(angles)), angles.shape)
     pose, spread = told[k]
-    off = np.rad2deg(log_so3(multiply(conjugate(pose.quaternion[None]), alike.quaternion[true : true + 1])))[0]
+    off = np.rad2deg(local(_batch(pose), alike[true : true + 1])[0, :3])
     width = spread.orientation_deg or estimate.spread.orientation_deg
     return float(angles[k, true]), width, region_of(off, spread.covariance[:3, :3])
 

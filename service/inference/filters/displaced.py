@@ -11,12 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from service.inference.filters.given import Given, Predicted
-from service.inference.filters.status import leading_share, one_answer, told_existence
+from service.inference.filters.status import equivalents, leading_share, one_answer, told_existence
 from service.inference.model import existence, prior
 from service.inference.numerics.student import log_density
-from service.inference.pose import concatenate, local, retract
+from service.inference.pose import local, retract
 from service.inference.state import Array, Displaced, Mixture, Poses
-from service.inference.symmetry import twin
 
 _LEAST = 1e-3  # numerical: probability below which it is forgotten
 _LOG_TURNS = float(np.log(8 * np.pi**2))  # exact: of the volume of all rotations, rad^3
@@ -39,11 +38,11 @@ def with_displaced(
     ``disturbed``: probability that something has come between, were the last answer right.
     """
     if before is None or ahead is None:
-        return answered(after, 0.0, given)
+        return with_answer(after, 0.0, given)
     lead, last = int(np.argmax(after.log_weights)), int(np.argmax(ahead.log_weights))
     leader, answer, known = after.poses[lead : lead + 1], ahead.poses[last : last + 1], ahead.displaced
     if one_answer(leader, answer, given.twins, given.domain).any():
-        return answered(replace(after, displaced=known), before.answered, given)
+        return with_answer(replace(after, displaced=known), before.answered, given)
     if known is not None and one_answer(leader, known.pose, given.twins, given.domain).any():
         known = None  # it is back
     elif before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
@@ -52,10 +51,10 @@ def with_displaced(
         right = was_right(before.answered, disturbed, moved)
         if known is None or right > known.probability:
             known = Displaced(right, answer, ahead.rates[last : last + 1])
-    return answered(replace(after, displaced=known), 0.0, given)
+    return with_answer(replace(after, displaced=known), 0.0, given)
 
 
-def answered(after: Mixture, before: float, given: Given) -> Mixture:
+def with_answer(after: Mixture, before: float, given: Given) -> Mixture:
     """With what its leader is told with where it fits; else with what it was told with ``before``."""
     if after.displaced is not None and after.displaced.probability < _LEAST:
         after = replace(after, displaced=None)
@@ -77,7 +76,6 @@ def was_right(answered: float, disturbed: float, moved: float) -> float:
 
 def turns_there(pose: Poses, wide: Array, there: Poses, given: Given) -> float:
     """Density with which a pose that is expected with scale ``wide`` (d, d) has turned to another, over that of any."""
-    alike = [there, *(given.domain.wrap(twin(there, one)) for one in given.twins if one.kind == "rotation")]
-    turns = local(pose, concatenate(*alike))[:, :3]
+    turns = local(pose, equivalents(there, given.twins, given.domain))[:, :3]
     density = log_density(turns, wide[:3, :3], prior.POSE_DEGREES_OF_FREEDOM)
     return float(np.exp(density + _LOG_TURNS).sum())

@@ -64,7 +64,7 @@ class Predicted:
     paint: Array  # (K, 2, P)
     log_weights: Array
     existence: Array  # (3,)
-    displaced: Displaced | None = None
+    displaced: Displaced | None
 
 
 @dataclass(frozen=True)
@@ -82,4 +82,4 @@ class Updated:
     log_light: float
     log_evidence: float  # of this body against the empty sky, by the power that evidence between hypotheses counts
     n_followed: int  # K
-    disturbed: float = 0.0  # probability that something has come between, were the last answer right
+    disturbed: float  # probability that something has come between, were the last answer right

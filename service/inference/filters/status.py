@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from service.inference.domain import Domain
 from service.inference.model import existence
 from service.inference.model.spread import PointSpread
-from service.inference.pose import angle_between
+from service.inference.pose import angle_between, concatenate
 from service.inference.state import Array, Mixture, Poses
 from service.inference.symmetry import Symmetry, twin
 
@@ -54,9 +54,13 @@ def leading_share(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -
     return float(np.exp(mixture.log_weights[same]).sum())
 
 
+def equivalents(pose: Poses, twins: Sequence[Symmetry], domain: Domain) -> Poses:
+    """A pose (a batch of one), and those that cannot be told from it."""
+    return concatenate(pose, *(domain.wrap(twin(pose, one)) for one in twins if one.kind == "rotation"))
+
+
 def one_answer(pose: Poses, others: Poses, twins: Sequence[Symmetry], domain: Domain) -> NDArray[np.bool_]:
     """(N,) which of N poses turn the body as a batch of one does, or as one that cannot be told from it."""
-    alike = [pose, *(domain.wrap(twin(pose, one)) for one in twins if one.kind == "rotation")]
-    quaternion = np.concatenate([one.quaternion for one in alike])
-    apart = np.rad2deg(angle_between(others.quaternion[:, None], quaternion[None]).min(axis=1))
+    alike = equivalents(pose, twins, domain).quaternion
+    apart = np.rad2deg(angle_between(others.quaternion[:, None], alike[None]).min(axis=1))
     return np.asarray(apart < _EQUIVALENT_DEG)

@@ -78,8 +78,8 @@ def weigh(
         looks = looks_at(best, hill, other)
     afresh, unlike, elsewhere = max(afresh, looks[0]), looks[1], looks[2]
     explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance, hill)
-    probabilities = hypotheses(best, (absent, afresh, unlike), hill, ahead, before)
     light = existence.log_light(hill, best.one.fit)
+    probabilities = hypotheses(best, (absent, afresh, unlike), light, ahead, before)
     fits = float(probabilities[existence.FITS])
     better = elsewhere + log_prior(other, hill) > best.one.fit.log_evidence + log_prior(nuisance, hill)
     better = better and lets_through(hill, other)
@@ -145,7 +145,7 @@ def looks_at(mode: Weighed, hill: Hill, other: Nuisance) -> tuple[float, float, 
 def hypotheses(
     best: Weighed,
     evidences: tuple[float, float, float],
-    hill: Hill,
+    light: float,
     ahead: Predicted | None,
     before: Mixture | None,
 ) -> Array:
@@ -153,10 +153,11 @@ def hypotheses(
 
     ``evidences``: logs of the sky's alone, of the best mode were its paint unknown, and as of another body. Light that
     asks for other paint than the body has, or goes out, is explained by something that is between, or by another body.
+    ``light``: log of the body's whole light.
     """
     start = existence.expected(None, 0.0) if ahead is None else ahead.existence
     fit = best.one.fit
-    usual = existence.log_of_change(None if before is None else before.log_light, existence.log_light(hill, fit))
+    usual = existence.log_of_change(None if before is None else before.log_light, light)
     absent, afresh, unlike = evidences
     fits = fit.log_evidence + best.occam + usual
     between = max(fit.log_evidence, afresh, unlike) + best.occam
@@ -173,7 +174,8 @@ def come_between(
     if answer is best:
         return 0.0
     afresh, unlike, _ = looks_at(answer, hill, other)
-    _, fits, no_fit = hypotheses(answer, (-np.inf, afresh, unlike), hill, ahead, before)
+    light = existence.log_light(hill, answer.one.fit)
+    _, fits, no_fit = hypotheses(answer, (-np.inf, afresh, unlike), light, ahead, before)
     return float(no_fit / (fits + no_fit))
 
 

@@ -47,11 +47,14 @@ def systems_of(
     else:
         normal, taken, unpainted, pull = hill.drawing.slopes.systems(slopes, [fit.row for fit in fits], known)
     sure, push = _prior(hill, poses, suns)
-    sunless = sure
+    stated = sure
     if believed is not None and at is not None:
-        sunless = _add_believed(hill, believed, at, poses, suns, sure, push)
+        _add_believed_poses(believed, at, poses, sure, push)
+        if hill.sun_free and hill.told.towards_sun is None:
+            stated = sure.copy()
+            _add_believed_suns(believed, at, suns, sure, push)
     seen = np.array([scale_seen(fit.chi2) for fit in fits])
-    return normal + sure - taken, pull + push, (normal - unpainted) / seen[:, None, None] + sunless
+    return normal + sure - taken, pull + push, (normal - unpainted) / seen[:, None, None] + stated
 
 
 def eliminated(fits: list[Fit], slopes: Images, known: Array | None) -> tuple[Array, Array, Array, Array]:
@@ -135,19 +138,17 @@ def _prior(hill: Hill, poses: Poses, suns: Array) -> tuple[Array, Array]:
     return normal, pull
 
 
-def _add_believed(
-    hill: Hill, believed: Believed, at: NDArray[np.intp], poses: Poses, suns: Array, normal: Array, pull: Array
-) -> Array:
-    """What earlier frames say of the poses that are numbered ``at``; without what they say of the Sun, its curvature
-    (n, D, D).
-    """
+def _add_believed_poses(believed: Believed, at: NDArray[np.intp], poses: Poses, normal: Array, pull: Array) -> None:
+    """What earlier frames say of the poses that are numbered ``at``."""
     d = believed.precision.shape[1]
     normal[:, :d, :d] += believed.precision[at]
     pull[:, :d] -= np.einsum("nij,nj->ni", believed.precision[at], believed.away(poses, at))
-    sunless = normal.copy()
-    if hill.sun_free and hill.told.towards_sun is None:
-        for k, sun in enumerate(suns):
-            sure = believed.sun_precision[at[k]]
-            normal[k, range(d, d + 2), range(d, d + 2)] += sure
-            pull[k, d:] += sure * (across(sun) @ (believed.suns[at[k]] - sun))
-    return sunless
+
+
+def _add_believed_suns(believed: Believed, at: NDArray[np.intp], suns: Array, normal: Array, pull: Array) -> None:
+    """What they say of the Suns that go with them."""
+    d = believed.precision.shape[1]
+    for k, sun in enumerate(suns):
+        sure = believed.sun_precision[at[k]]
+        normal[k, range(d, d + 2), range(d, d + 2)] += sure
+        pull[k, d:] += sure * (across(sun) @ (believed.suns[at[k]] - sun))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import fdtri, gammaln
+from scipy.special import fdtr, fdtri, gammaln
 
 from service.inference.state import Array
 
@@ -11,6 +11,11 @@ from service.inference.state import Array
 def squared_radius(share: float, dimensions: int, degrees: float) -> float:
     """d' C^-1 d below which ``share`` of a Student t with scale C lies: Fisher's F times the dimensions."""
     return float(dimensions * fdtri(dimensions, degrees, share))
+
+
+def share_within(square: float, dimensions: int, degrees: float) -> float:
+    """Of a Student t with scale C, what lies below this d' C^-1 d: the inverse of ``squared_radius``."""
+    return float(fdtr(dimensions, degrees, square / dimensions))
 
 
 def root_of(covariance: Array) -> Array:

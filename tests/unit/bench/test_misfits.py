@@ -69,13 +69,20 @@ def test_what_is_noticed_in_time_and_what_ends_wrongly_are_counted():
     rows = [
         MisfitRow("mesh", "a", "m", 0, 1, 0.0, "no_fit", ("no_fit",)),
         MisfitRow("mesh", "b", "m", 0, 6, 0.8, "tracking", ("tracking",)),
-        MisfitRow("cloud", "b", "m", 2, None, 0.0, "acquiring", ("acquiring",), 0.0),
-        MisfitRow("cloud", "c", "m", 2, 1, 0.5, "tracking", ("no_fit", "tracking"), 0.5),
+        MisfitRow("cloud", "b", "m", 2, None, 0.0, "acquiring", ("acquiring",)),
     ]
     overall = misfit_document({}, rows)["overall"]
     assert overall["mesh"] == {"passes": 2, "noticed": 0.5, "tracking_at_end": 0.5, "tracking": 0.4, "wrong": None}
-    assert (overall["cloud"]["noticed"], overall["cloud"]["wrong"]) == (0.5, 0.25)
+    assert (overall["cloud"]["noticed"], overall["cloud"]["tracking_at_end"]) == (0.0, 0.0)
     assert "mirror" not in overall
+
+
+def test_what_is_tracked_under_a_cloud_is_counted_where_it_is_wrong():
+    rows = [
+        MisfitRow("cloud", "b", "m", 2, None, 0.0, "acquiring", ("acquiring",), 0.0),
+        MisfitRow("cloud", "c", "m", 2, 1, 0.5, "tracking", ("no_fit", "tracking"), 0.5),
+    ]
+    assert misfit_document({}, rows)["overall"]["cloud"]["wrong"] == 0.25
 
 
 def test_the_command_follows_spoilt_passes(satellite, scenario, tmp_path):

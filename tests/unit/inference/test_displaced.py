@@ -29,7 +29,7 @@ def turned(by: float, about: int = 0):
     return retract(HELD, step)
 
 
-def predicted(held, **more) -> Predicted:
+def predicted(held, displaced: Displaced | None = None) -> Predicted:
     return Predicted(
         held.poses,
         held.rates,
@@ -39,14 +39,14 @@ def predicted(held, **more) -> Predicted:
         held.paint,
         held.log_weights,
         held.existence,
-        **more,
+        displaced,
     )
 
 
 def leads(pose, before, disturbed: float, displaced: Displaced | None = None):
     """The mixture after a frame in which ``pose`` leads."""
     after = replace(mixture(searches=4, ever=True), poses=pose)
-    return with_displaced(after, before, predicted(before, displaced=displaced), disturbed, GIVEN)
+    return with_displaced(after, before, predicted(before, displaced), disturbed, GIVEN)
 
 
 def test_whether_the_old_answer_or_the_new_one_is_right():
