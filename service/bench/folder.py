@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,20 @@ class SequenceError(ValueError):
 
 @dataclass(frozen=True)
 class SequenceFolder:
-    """One sequence on disk. ``meshes`` are further places where its mesh may lie."""
+    """One sequence on disk. ``meshes`` are further places where its mesh may lie.
+
+    ``untied_deg``: every joint of the file is one of its own, known within so many degrees; None: ties hold.
+    """
 
     path: Path
     meshes: tuple[Path, ...] = ()
+    untied_deg: float | None = None
 
     def case(self, shelf: ModelShelf) -> Case:
         """Read what describes the pass and prepare its model; the frames are read later, one by one."""
         described = json.loads((self.path / "case.json").read_text())
+        if self.untied_deg is not None:
+            described = untied(described, self._rows(), self.untied_deg)
         file = self.mesh(described["mesh"])
         upload, names = upload_joints(described)
         model = shelf.model(file.name, file.read_bytes(), upload)
@@ -52,9 +58,12 @@ class SequenceFolder:
             yield path.read_bytes()
 
     def _frames(self, names: Sequence[str]) -> Iterator[tuple[bytes, TruthFrame]]:
+        for k, row in enumerate(self._rows()):
+            yield (self.path / "frames" / f"{k:03d}.png").read_bytes(), _truth(row, names)
+
+    def _rows(self) -> Iterator[dict[str, str]]:
         with (self.path / "truth.csv").open(newline="") as file:
-            for k, row in enumerate(csv.DictReader(file)):
-                yield (self.path / "frames" / f"{k:03d}.png").read_bytes(), _truth(row, names)
+            yield from csv.DictReader(file)
 
     def mesh(self, name: str) -> Path:
         """Where the mesh of that name lies. Raises ``SequenceError``."""
@@ -66,7 +75,9 @@ class SequenceFolder:
         raise SequenceError(f"{self.path.name}: no mesh {name} in {', '.join(str(root) for root in roots)}")
 
 
-def find_sequences(folder: Path, names: Sequence[str] = (), meshes: Path | None = None) -> list[SequenceFolder]:
+def find_sequences(
+    folder: Path, names: Sequence[str] = (), meshes: Path | None = None, untied_deg: float | None = None
+) -> list[SequenceFolder]:
     """The sequences of a folder in the order of their names, or the folder itself if it is one.
 
     Raises ``SequenceError`` where there is none, or none of a wanted name.
@@ -78,7 +89,7 @@ def find_sequences(folder: Path, names: Sequence[str] = (), meshes: Path | None 
         if name not in [path.name for path in found]:
             raise SequenceError(f"no sequence {name!r}; there are {', '.join(path.name for path in found)}")
     extra = () if meshes is None else (meshes,)
-    return [SequenceFolder(path, extra) for path in found if not names or path.name in names]
+    return [SequenceFolder(path, extra, untied_deg) for path in found if not names or path.name in names]
 
 
 def listed_symmetries(mesh: Path, told: Sequence[Any] = ()) -> tuple[Array, ...] | None:
@@ -122,6 +133,15 @@ def upload_joints(described: Mapping[str, Any]) -> tuple[tuple[Mapping[str, Any]
     ties = described.get("ties", {})  # follower -> leader, both joints of the mesh file itself
     upload = tuple({"name": name, "tied_to": leader, "ratio": 1} for name, leader in ties.items()) or joints
     return upload or None, tuple(str(joint["name"]) for joint in joints if joint["name"] not in ties)
+
+
+def untied(described: Mapping[str, Any], rows: Iterable[Mapping[str, str]], degrees: float) -> dict[str, Any]:
+    """A ``case.json`` in which all joints move on their own, each within ``degrees`` of where it is in these rows."""
+    seen, joints = list(rows), []
+    for joint in described.get("joints", []):
+        values = [float(row[joint["name"]]) for row in seen]
+        joints.append({**joint, "min": min(values) - degrees, "max": max(values) + degrees})
+    return {**described, "joints": joints, "ties": {}}
 
 
 def _upload_entry(joint: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,13 +20,14 @@ from service.bench.summary import Row
 
 CASE_COLUMNS = (
     *("preset", "case", "err1", "err5", "err10", "err_med", "err_p95", "within5", "modes5", "right_twin", "silent"),
-    *("pos_med", "scale_med", "joint_med", "iou_med", "cover50", "cover90", "region50", "region90"),
+    *("pos_med", "scale_med", "joint_med", "joints90", "iou_med", "cover50", "cover90", "region50", "region90"),
     *("blank_ok", "twins_reported", "first_ms", "ms_med"),
 )
 OVERALL_COLUMNS = (
     *("preset", "cases", "acquired1", "acquired10", "err_med", "err_worst", "within5", "modes5", "right_twin"),
-    *("silent", "tracked", "tracked_right", "pos_med", "scale_med", "joint_med", "iou_med", "cover50", "cover90"),
-    *("region50", "region90", "hard90", "blank_ok", "reacquired", "twins_reported", "first_ms", "ms_med"),
+    *("silent", "tracked", "tracked_right", "pos_med", "scale_med", "joint_med", "joints90", "iou_med"),
+    *("cover50", "cover90", "region50", "region90", "hard90", "blank_ok", "reacquired", "twins_reported"),
+    *("first_ms", "ms_med"),
 )
 _MOST_COLUMNS = 4
 _TEXT = ("preset", "case", "says")
@@ -45,6 +46,7 @@ _SHORT = {
     "pos_med": "pos",
     "scale_med": "scale",
     "joint_med": "joint",
+    "joints90": "j90",
     "iou_med": "iou",
     "cover50": "c50",
     "cover90": "c90",

@@ -11,7 +11,7 @@ from service.bench.cases import Case, TruthFrame
 from service.bench.silhouette import Mask, fine_silhouette, overlap
 from service.inference.articulation import Articulation, Joint, hold
 from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
-from service.inference.numerics.student import share_within
+from service.inference.numerics.student import share_within, squared_radius
 from service.inference.pose import angle_between, concatenate, local
 from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses
 from service.inference.symmetry import Symmetry, twin
@@ -45,6 +45,7 @@ class FrameScore:
     twins_reported: bool | None = None  # None: the body has no mirror plane
     raw_deg: float = _NAN  # of ``best``, no symmetry excusing anything
     region: float = _NAN  # probability of the nearest mode's own region that just reaches the true rotation
+    joints90: float = _NAN  # share of the joints that lie within the 90 % interval which that mode states
 
 
 class Referee:
@@ -68,7 +69,7 @@ class Referee:
         angles = _angles_deg(best, alike)
         joint, position = self._nearest(best, alike, angles)
         modes = [mode for mode in estimate.modes if mode.weight >= LEAST_WEIGHT]
-        nearest_deg, width_deg, region = _nearest_mode(modes, estimate, alike)
+        nearest_deg, width_deg, region, joints90 = self._nearest_mode(modes, estimate, alike)
         return FrameScore(
             index=index,
             time_s=truth.time_s,
@@ -78,6 +79,7 @@ class Referee:
             orientation_deg=float(angles.min()),
             raw_deg=float(angles[0]),
             region=region,
+            joints90=joints90,
             modes_deg=nearest_deg,
             ratio=nearest_deg / width_deg if width_deg else _NAN,
             position_px=position,
@@ -112,6 +114,30 @@ class Referee:
         ]
         return min(errors)
 
+    def _nearest_mode(
+        self, modes: Sequence[Mode], estimate: Estimate, alike: Poses
+    ) -> tuple[float, float, float, float]:
+        """Error of the nearest reported mode, its spread (the whole estimate's where it has none), its region, and the
+        share of its joints that are where it says.
+        """
+        told = [(mode.pose, mode.spread) for mode in modes] or [(estimate.best, estimate.spread)]
+        angles = np.array([_angles_deg(pose, alike) for pose, _ in told])
+        k, true = np.unravel_index(int(np.argmin(angles)), angles.shape)
+        pose, spread = told[k]
+        off = np.rad2deg(local(_batch(pose), alike[true : true + 1])[0, :3])
+        width = spread.orientation_deg or estimate.spread.orientation_deg
+        joints90 = self._joints_within(pose, spread.joints, alike.joints[true])
+        return float(angles[k, true]), width, region_of(off, spread.covariance[:3, :3]), joints90
+
+    def _joints_within(self, pose: PoseEstimate, deviations: Array, truth: Array) -> float:
+        """Share of the joints within the 90 % interval of a Student t of such standard deviations (J,); NaN of none."""
+        if not len(truth):
+            return _NAN
+        degrees = POSE_DEGREES_OF_FREEDOM
+        errors = [_joint_error(*one) for one in zip(self.articulation.joints, pose.joints, truth, strict=True)]
+        reach = np.sqrt(squared_radius(0.9, 1, degrees) * (degrees - 2) / degrees)
+        return float(np.mean(np.array(errors) <= reach * np.asarray(deviations)))
+
     def _twins_reported(self, modes: Sequence[Mode], alike: Poses) -> bool | None:
         """Whether modes stand near the truth (or a rotation symmetry of it) and near a mirror twin of it."""
         if not self._mirrored.any():
@@ -138,17 +164,6 @@ def region_of(off: Array, covariance: Array) -> float:
         return _NAN
     square = off @ np.linalg.solve(covariance * (degrees - 2) / degrees, off)
     return share_within(float(square), 3, degrees)
-
-
-def _nearest_mode(modes: Sequence[Mode], estimate: Estimate, alike: Poses) -> tuple[float, float, float]:
-    """Error of the nearest reported mode, its spread (the whole estimate's where it has none), and its region."""
-    told = [(mode.pose, mode.spread) for mode in modes] or [(estimate.best, estimate.spread)]
-    angles = np.array([_angles_deg(pose, alike) for pose, _ in told])
-    k, true = np.unravel_index(int(np.argmin(angles)), angles.shape)
-    pose, spread = told[k]
-    off = np.rad2deg(local(_batch(pose), alike[true : true + 1])[0, :3])
-    width = spread.orientation_deg or estimate.spread.orientation_deg
-    return float(angles[k, true]), width, region_of(off, spread.covariance[:3, :3])
 
 
 def _angles_deg(found: PoseEstimate, alike: Poses) -> Array:

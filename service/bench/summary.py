@@ -8,10 +8,10 @@ by less than 5 degrees; ``right_twin``: share in which the best pose is, and is 
 ``silent``: share answered ``tracking`` although the best pose and the nearest mode are off by more than 15 degrees;
 ``tracked``: share of all frames that show the object, from the first one, that is answered ``tracking``, and
 ``tracked_right``, of those: off by less than 5 degrees;
-``pos_med`` (px), ``scale_med`` (%), ``joint_med`` (degrees), ``iou_med``; ``cover50``,
-``cover90``: share of frames in which the nearest mode's error lies within its own 50 and 90 % radius, were it an
-isotropic Gaussian of its RMS spread; ``region50``, ``region90``: within the region that the mode itself states, a
-Student t's of its covariance; ``ms_med``,
+``pos_med`` (px), ``scale_med`` (%), ``joint_med`` (degrees, the worst joint), ``iou_med``; ``joints90``: share of
+joints within the 90 % interval that the nearest mode states; ``cover50``, ``cover90``: share of frames in which the
+nearest mode's error lies within its own 50 and 90 % radius, were it an isotropic Gaussian of its RMS spread;
+``region50``, ``region90``: within the region that the mode itself states, a Student t's of its covariance; ``ms_med``,
 ``ms_p95``: time per frame, from the image file to the answer. ``first_ms``: the same of the first frame that shows the
 object, the model being prepared.
 ``blank_ok``: share of the frames without the object that are answered ``no_target``; ``reacquired``: frames after
@@ -81,6 +81,7 @@ def case_row(result: CaseResult) -> Row:
         "pos_med": _median(late, lambda f: f.position_px, 2),
         "scale_med": _median(late, lambda f: f.scale_percent, 2),
         "joint_med": _median(late, lambda f: f.joint, 2),
+        "joints90": round(float(np.mean([f.joints90 for f in late])), 2) if result.n_joints else None,
         "joints": result.n_joints,
         "iou_med": _median(late, lambda f: f.iou, 3),
         "cover50": round(coverage(late, 0.5), 2),
@@ -113,6 +114,7 @@ def overall_row(preset: str, rows: Sequence[Row]) -> Row:
         "tracked_right": _tracked_right(mine),
         **{name: _over(mine, name, np.median, 2) for name in ("pos_med", "scale_med")},
         "joint_med": _over([row for row in mine if row["joints"]], "joint_med", np.median, 2),
+        "joints90": _over(mine, "joints90", np.mean, 3),
         "iou_med": _over(mine, "iou_med", np.mean, 3),
         **{name: _over(mine, name, np.mean, 3) for name in ("cover50", "cover90", "region50", "region90")},
         **{name: _over(mine, name, np.mean, 3) for name in ("blank_ok", "twins_reported")},

@@ -76,6 +76,9 @@ def track(
     own_sky: Annotated[
         bool, typer.Option("--own-sky", help="Give no empty frames: the sky is the frames' own.")
     ] = False,
+    untied: Annotated[
+        float | None, typer.Option(help="All joints move on their own, each known within so many degrees.")
+    ] = None,
 ) -> None:
     """Run presets over passes with known truth."""
     from service.bench.runner import Terms
@@ -85,7 +88,7 @@ def track(
     terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky, stretch))
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())
-        selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials)
+        selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials, untied)
         entries = entries_of(preset or ["balanced", "paper"], settings or ())
         run_benchmark(selection, entries, terms, Output("Tracking", command_line(), json, report))
 

@@ -46,6 +46,7 @@ class Selection:
     size: str | None
     frames: int | None
     materials: str | None = None
+    untied_deg: float | None = None  # see ``SequenceFolder``
 
     @property
     def title(self) -> str:
@@ -57,12 +58,12 @@ class Selection:
     @property
     def count(self) -> int:
         """Number of passes."""
-        return self.passes or len(find_sequences(self._folder, self.names, self.meshes_root))
+        return self.passes or len(find_sequences(self._folder, self.names, self.meshes_root, self.untied_deg))
 
     def cases(self, shelf: ModelShelf) -> Iterator[Case]:
         """The passes one by one; each is prepared when it is asked for."""
         if not self.passes:
-            for sequence in find_sequences(self._folder, self.names, self.meshes_root):
+            for sequence in find_sequences(self._folder, self.names, self.meshes_root, self.untied_deg):
                 yield sequence.case(shelf)
             return
         files = [read_model_file(source) for source in self.meshes or ("demo",)]

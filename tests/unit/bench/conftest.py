@@ -60,10 +60,11 @@ def truth():
 
 @pytest.fixture
 def answer():
-    def make(*poses, weights=None, spread_deg=1.0):
+    def make(*poses, weights=None, spread_deg=1.0, joint_deg=1.0):
         """An estimate whose modes are ``poses`` (quaternion, position, scale, joints), the first the best."""
         found = [PoseEstimate(np.asarray(q), np.asarray(p), s, np.asarray(j)) for q, p, s, j in poses]
-        width = Spread(spread_deg, 1, 1, 1, 1, 1, 1, np.zeros(0), np.eye(6))
+        joints = np.full(len(found[0].joints), joint_deg)
+        width = Spread(spread_deg, 1, 1, 1, 1, 1, 1, joints, np.eye(6))
         shares = weights or [1 / len(found)] * len(found)
         modes = tuple(Mode(w, pose, width) for w, pose in zip(shares, found, strict=True))
         return Estimate("tracking", found[0], found[0], 0.0, width, modes, 10, 5.0, 0.0)

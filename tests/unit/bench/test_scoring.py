@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import t as t_law
 
 from service.bench.scoring import Referee, region_of
 from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
@@ -77,6 +78,17 @@ def test_a_joint_one_turn_on_is_the_same_place(case_of, satellite, truth, answer
     score = referee.score(0, true, referee.draw(true.poses(referee.articulation)), found, 1.0)
     assert score.joint == pytest.approx(5.0)
     assert score.iou > 0.8
+
+
+@pytest.mark.parametrize(("off", "within"), [(0.99, 1.0), (1.01, 0.0)])
+def test_a_joint_is_held_against_the_interval_that_its_mode_states(case_of, satellite, truth, answer, off, within):
+    """Of a Student t with 4 degrees of freedom and a deviation of 2: t quantile times the scale."""
+    half = t_law.ppf(0.95, POSE_DEGREES_OF_FREEDOM) * 2.0 * np.sqrt(0.5)
+    true = replace(truth, joints={"wing": 40.0})
+    referee = Referee(case_of(satellite, free=("wing",)))
+    real = referee.draw(true.poses(referee.articulation))
+    found = answer((true.quaternion, true.position, 12.0, [40.0 + off * half]), joint_deg=2.0)
+    assert referee.score(0, true, real, found, 1.0).joints90 == within
 
 
 def test_a_frame_without_the_body_has_no_errors(case_of, satellite, truth, answer):

@@ -102,6 +102,12 @@ def test_ties_of_the_file_are_uploaded_and_followers_are_not_estimated(shelf, tm
     assert [joint.name for joint in case.model.articulation.joints] == ["alpha"]
     (_, truth), *_ = case.frames()
     assert truth.joints == {"alpha": 30.0}
+    loose = find_sequences(tmp_path, untied_deg=10.0)[0].case(shelf)
+    assert loose.free == ("alpha", "beta")
+    rows = [truth.joints for _, truth in loose.frames()]
+    for joint in loose.model.articulation.joints:
+        values = [row[joint.name] for row in rows]
+        assert (joint.minimum, joint.maximum) == (min(values) - 10.0, max(values) + 10.0)
 
 
 def test_without_empty_frames_the_sky_is_learned_from_the_first_frames_border(tracker, satellite, shelf, tmp_path):
