@@ -215,9 +215,10 @@ def finest_hill(
 ) -> tuple[Hill, Nuisance]:
     """The finest stage under the point spread, discrepancy and photons that explain the frame best at the best of some.
 
-    The discrepancy twice: bright light that is noisy may be either's.
+    The discrepancy twice: bright light that is noisy may be either's. The point spread again under what noise there is:
+    while all light was thought as noisy as the prior has it, dim edges said little.
     """
-    for better in (best_spread, best_discrepancy, best_photon, best_discrepancy):
+    for better in (best_spread, best_discrepancy, best_photon, best_spread, best_discrepancy):
         hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
         lead = lead.on(hill) if lead.is_drawn_on(hill) else looked(hill, some.poses[:1], some.suns[:1])
         nuisance = better(lead, nuisance)

@@ -22,12 +22,13 @@ from lit_search import (
 from service.imaging.patch import Patch
 from service.inference.model import search as searching
 from service.inference.model.candidates import Candidates, best_of, distinct, log_prior, scored
-from service.inference.model.nuisance import Nuisance
-from service.inference.model.search import make_bank, search, varied
+from service.inference.model.nuisance import Nuisance, best_spread
+from service.inference.model.search import finest_hill, make_bank, search, varied
 from service.inference.model.shaking import shaken
-from service.inference.model.stages import FINEST, Sight
+from service.inference.model.stages import FINEST, Sight, stage_hill
 from service.inference.model.templates import Bank
 from service.inference.numerics.gauss_newton import ascend
+from service.inference.numerics.hill import looked
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import exp_so3, retract
 from service.inference.state import Poses
@@ -279,3 +280,17 @@ def test_other_suns_are_tried_where_none_is_told():
     best = best_of(varied(hill, some), 1)
     assert best.found[0] > some.found[0] + 4.0
     assert best.suns[0] @ SUN > 0.5
+
+
+@pytest.mark.parametrize("first", [0.4, 4.0])
+def test_the_point_spread_is_found_under_the_noise_that_there_is(first):
+    """A frame without photon noise or discrepancy, of which the priors expect much."""
+    at = truth(2, False)
+    start = Nuisance(first, discrepancy=0.05)
+    given = body(False), sight_of(at), Candidates(at, SUN[None], np.zeros(1))
+    hill = stage_hill(body(False).fine, given[1], FINEST, start, TOLD, speckle=True)
+    lead = looked(hill, at, SUN[None])
+    found, nuisance = finest_hill(*given, lead, start, TOLD)
+    again = best_spread(looked(found, at, SUN[None]), nuisance)
+    assert again == nuisance
+    assert nuisance.point_spread(1.0).width == pytest.approx(1.3, rel=0.25)
