@@ -11,7 +11,7 @@ from service.bench.cases import Case, TruthFrame
 from service.bench.silhouette import Mask, fine_silhouette, overlap
 from service.inference.articulation import Articulation, Joint, hold
 from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
-from service.inference.numerics.student import share_within, squared_radius
+from service.inference.numerics.student import scale_of, share_within, squared_radius
 from service.inference.pose import angle_between, concatenate, local
 from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses
 from service.inference.symmetry import Symmetry, twin
@@ -103,13 +103,7 @@ class Referee:
         """Joint and position error against those of the alike poses that are nearest in orientation."""
         tied = np.flatnonzero(angles <= angles.min() + _TIED_DEG)
         errors = [
-            (
-                max(
-                    (_joint_error(j, a, b) for j, a, b in zip(self.articulation.joints, found.joints, v, strict=True)),
-                    default=0.0,
-                ),
-                float(np.linalg.norm(found.position - p)),
-            )
+            (max(self._joint_errors(found, v), default=0.0), float(np.linalg.norm(found.position - p)))
             for v, p in zip(alike.joints[tied], alike.position[tied], strict=True)
         ]
         return min(errors)
@@ -134,9 +128,12 @@ class Referee:
         if not len(truth):
             return _NAN
         degrees = POSE_DEGREES_OF_FREEDOM
-        errors = [_joint_error(*one) for one in zip(self.articulation.joints, pose.joints, truth, strict=True)]
-        reach = np.sqrt(squared_radius(0.9, 1, degrees) * (degrees - 2) / degrees)
-        return float(np.mean(np.array(errors) <= reach * np.asarray(deviations)))
+        reach = np.sqrt(squared_radius(0.9, 1, degrees) * scale_of(deviations**2, degrees))
+        return float(np.mean(np.array(self._joint_errors(pose, truth)) <= reach))
+
+    def _joint_errors(self, found: PoseEstimate, truth: Array) -> list[float]:
+        """Of each joint against its true value (J,)."""
+        return [_joint_error(*one) for one in zip(self.articulation.joints, found.joints, truth, strict=True)]
 
     def _twins_reported(self, modes: Sequence[Mode], alike: Poses) -> bool | None:
         """Whether modes stand near the truth (or a rotation symmetry of it) and near a mirror twin of it."""
@@ -162,7 +159,7 @@ def region_of(off: Array, covariance: Array) -> float:
     degrees = POSE_DEGREES_OF_FREEDOM
     if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance).min() <= 0:
         return _NAN
-    square = off @ np.linalg.solve(covariance * (degrees - 2) / degrees, off)
+    square = off @ np.linalg.solve(scale_of(covariance, degrees), off)
     return share_within(float(square), 3, degrees)
 
 

@@ -12,6 +12,7 @@ from service.inference.articulation import Articulation
 from service.inference.belief import Belief
 from service.inference.model.prior import MEMORY_KEPT, POSE_DEGREES_OF_FREEDOM
 from service.inference.model.sun_tracking import SunTracking
+from service.inference.numerics.student import scale_of
 from service.inference.params import JointParams
 from service.inference.pose import rotation_matrices
 from service.inference.spin.basins import JointLaw, PassMotion
@@ -53,7 +54,7 @@ def _seen(one: Jointed, mesh: Mesh) -> list[SeenJoint]:
     value, sigma, lacks, lacks_sigma = [], [], [], []
     for belief, k, sun in zip(one.beliefs, heaviest, one.suns, strict=True):
         d, pose = belief.n_tangent, belief.poses[k : k + 1]
-        scale = belief.covariance[k][:d, :d] * (POSE_DEGREES_OF_FREEDOM - 2) / POSE_DEGREES_OF_FREEDOM
+        scale = scale_of(belief.covariance[k][:d, :d], POSE_DEGREES_OF_FREEDOM)
         off, slopes = tracking.slopes(pose, sun)
         slopes = slopes * tracking.sigma_deg
         value.append(pose.joints[0, list(tracking.columns)])

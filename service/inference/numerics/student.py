@@ -18,6 +18,11 @@ def share_within(square: float, dimensions: int, degrees: float) -> float:
     return float(fdtr(dimensions, degrees, square / dimensions))
 
 
+def scale_of(covariance: Array, degrees: float) -> Array:
+    """C of a Student t of this covariance, which is wider; more than two ``degrees``."""
+    return np.asarray((degrees - 2) / degrees * covariance)
+
+
 def root_of(covariance: Array) -> Array:
     """(D, D) R with R R' = covariance, which may lack a direction by rounding: less than nothing is zero."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))

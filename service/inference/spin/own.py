@@ -18,6 +18,7 @@ from service.inference.estimate import tangent
 from service.inference.model.dynamics import predicted
 from service.inference.model.prior import BIRTH, EVIDENCE_KEPT, POSE_DEGREES_OF_FREEDOM
 from service.inference.motion import MotionNoise
+from service.inference.numerics.student import scale_of
 from service.inference.pose import exp_so3, multiply, retract
 from service.inference.state import Array
 
@@ -119,7 +120,7 @@ def _scale(covariance: Array, bootstrap: bool) -> Array:
     """Of a belief's covariance: that of a Student t's own matrix, where it was one."""
     if bootstrap:
         return covariance + 1e-12 * np.eye(len(covariance))
-    return (POSE_DEGREES_OF_FREEDOM - 2) / POSE_DEGREES_OF_FREEDOM * covariance
+    return scale_of(covariance, POSE_DEGREES_OF_FREEDOM)
 
 
 def _kept_positive(information: Array, posterior: Array) -> Array:
