@@ -9,11 +9,13 @@ import shutil
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pyopencl as cl
 
 from gpu.errors import DeviceError
+from gpu.kernel_cache import INSTALLED, take_kept
 
 PROBE = "__kernel void probe(__global int *out) { out[get_global_id(0)] = (int)get_global_id(0) * 3 + 1; }"
 
@@ -74,10 +76,14 @@ def open_device(report: DeviceReport) -> cl.Device:
 
 
 def _use_private_kernel_cache() -> None:
-    """PoCL's cache of built kernels must not be shared with other users, who could put kernels of theirs into it."""
+    """PoCL's cache of built kernels must not be shared with other users, who could put kernels of theirs into it.
+
+    It begins with those that were built when the program was installed: building all takes ten seconds.
+    """
     if "POCL_CACHE_DIR" not in os.environ:
         folder = tempfile.mkdtemp(prefix="skypose-pocl-")
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        take_kept(INSTALLED, Path(folder))
         os.environ["POCL_CACHE_DIR"] = folder
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gpu.kernel_cache import KernelCache
+from gpu.kernel_cache import INSTALLED, KernelCache
 from service.workers.decode_process import DecodeProcess
 from service.workers.kernel import hide
 from service.workers.limits import DecodeLimits
 from service.workers.shared_scorer import open_shared
 from service.workers.tracker import Tracker
-from service.workers.warm_up import INSTALLED, build_kernels
+from service.workers.warm_up import build_kernels
 
 
 def guarded(limits: DecodeLimits, kernels: Path | None = None, device: str | None = None) -> Tracker:

@@ -5,15 +5,13 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
 from gpu.errors import ScorerError
-from gpu.kernel_cache import KernelCache
+from gpu.kernel_cache import INSTALLED, KernelCache
 from gpu.mesh import assemble
 from gpu.raw_part import RawPart
 from gpu.scorer import open_scorer
@@ -26,8 +24,6 @@ from service.inference.model.terms import terms_of
 from service.inference.state import Poses
 from service.workers.lit_body import LitBody
 
-INSTALLED = Path(sys.prefix) / "share" / "skypose" / "kernels"
-"""Kernels that were built when this program was installed. Another processor or driver builds its own."""
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 _FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 _SIDE = 16

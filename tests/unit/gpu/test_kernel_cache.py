@@ -1,9 +1,11 @@
 """Kernels that were built once are there for the next process, whole or not at all."""
 
 import os
+from pathlib import Path
 
 import pytest
 
+from gpu import device
 from gpu.kernel_cache import KernelCache
 
 
@@ -61,6 +63,20 @@ def test_what_was_built_at_installation_is_there_for_the_first_process_of_a_serv
     own.keep()
     own.close()
     assert built(caches()) == {"a.so"}  # nobody but its owner writes to it
+
+
+def test_a_process_that_keeps_none_begins_with_what_was_installed(caches, tmp_path, monkeypatch):
+    installing = caches()
+    build(installing, "a.so")
+    installing.keep()
+    installing.close()
+    monkeypatch.delenv("POCL_CACHE_DIR")
+    monkeypatch.setattr(device, "INSTALLED", tmp_path / "kernels")
+    device._use_private_kernel_cache()
+    own = Path(os.environ["POCL_CACHE_DIR"])
+    assert [path.name for path in own.rglob("*.so")] == ["a.so"]
+    (own / "b.so").touch()
+    assert built(caches()) == {"a.so"}
 
 
 def test_folders_of_the_dead_are_removed_and_those_of_the_living_are_not(caches, tmp_path):
