@@ -11,7 +11,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PRIORS = ROOT / "service/inference/model/prior.py"
 MODULES = sorted(p for part in ("inference", "imaging") for p in (ROOT / "service" / part).rglob("*.py") if p != PRIORS)
 KINDS = ("prior", "numerical", "exact", "format", "contract", "shown")  # docs/architecture.md, Constants
-SAYS = re.compile(rf"# (?:{'|'.join(KINDS)}): \S")
+SAYS = re.compile(rf"# ({'|'.join(KINDS)}): \S")
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 def held_numbers(source: str) -> Iterator[tuple[int, int, str]]:
@@ -27,24 +28,45 @@ def held_numbers(source: str) -> Iterator[tuple[int, int, str]]:
             yield node.lineno, node.end_lineno or node.lineno, ast.unparse(getattr(node, "targets", [None])[0] or node)
 
 
-def is_told(lines: list[str], first: int, last: int) -> bool:
+def kind_told(lines: list[str], first: int, last: int) -> str | None:
     """By a comment of its own, or by one that heads the unbroken lines it stands in."""
-    if any(SAYS.search(line) for line in lines[first - 1 : last]):
-        return True
+    for line in lines[first - 1 : last]:
+        if said := SAYS.search(line):
+            return said[1]
     above = first - 2
     while above >= 0 and lines[above].strip():
-        if lines[above].startswith("#") and SAYS.match(lines[above]):
-            return True
+        if said := SAYS.match(lines[above]):
+            return said[1]
         above -= 1
-    return False
+    return None
+
+
+def documents_of(path: Path) -> tuple[str, ...]:
+    """Where the priors of a module are told."""
+    if path.parent.name == "spin":
+        return "motion.md", "objects.md"
+    return ("method.md",) if path.name == "background.py" else ("model.md",)
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_every_number_says_whether_it_is_a_prior_or_numerical(path):
     source = path.read_text()
     lines = source.splitlines()
-    hidden = [f"{first}: {name}" for first, last, name in held_numbers(source) if not is_told(lines, first, last)]
+    hidden = [f"{first}: {name}" for first, last, name in held_numbers(source) if kind_told(lines, first, last) is None]
     assert hidden == []
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_prior_beside_its_code_is_told_in_a_document(path):
+    source = path.read_text()
+    lines = source.splitlines()
+    told = {float(n) for name in documents_of(path) for n in NUMBER.findall((ROOT / "docs" / name).read_text())}
+    for first, last, name in held_numbers(source):
+        if kind_told(lines, first, last) == "prior":
+            block = ast.parse("\n".join(line.strip() for line in lines[first - 1 : last]))
+            held = [one.value for one in ast.walk(block) if isinstance(one, ast.Constant)]
+            missing = {float(value) for value in held if type(value) in (int, float)} - told
+            assert not missing, (name, missing)
 
 
 def test_every_prior_has_a_reason_or_a_unit_and_stands_in_the_model():
@@ -52,7 +74,7 @@ def test_every_prior_has_a_reason_or_a_unit_and_stands_in_the_model():
     lines = source.splitlines()
     for first, last, name in held_numbers(source):
         assert "#" in " ".join(lines[first - 1 : last]), name
-    told = {float(number) for number in re.findall(r"\d+(?:\.\d+)?", model)}
+    told = {float(number) for number in NUMBER.findall(model)}
     held = {
         float(one.value)
         for node in ast.parse(source).body
