@@ -15,16 +15,20 @@ SAYS = re.compile(rf"# ({'|'.join(KINDS)}): \S")
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
+def numbers_in(tree: ast.AST) -> set[float]:
+    """All that stand in it."""
+    return {
+        float(one.value) for one in ast.walk(tree) if isinstance(one, ast.Constant) and type(one.value) in (int, float)
+    }
+
+
 def held_numbers(source: str) -> Iterator[tuple[int, int, str]]:
     """First and last line, and names, of assignments of a module or class body that hold numbers."""
     for node in ast.parse(source).body:
         if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
             continue
         counts = isinstance(node.value, ast.Call) and getattr(node.value.func, "id", "") == "range"  # an enumeration
-        numbers = [
-            one for one in ast.walk(node.value) if isinstance(one, ast.Constant) and type(one.value) in (int, float)
-        ]
-        if numbers and not counts:
+        if numbers_in(node.value) and not counts:
             yield node.lineno, node.end_lineno or node.lineno, ast.unparse(getattr(node, "targets", [None])[0] or node)
 
 
@@ -64,9 +68,7 @@ def test_every_prior_beside_its_code_is_told_in_a_document(path):
     for first, last, name in held_numbers(source):
         if kind_told(lines, first, last) == "prior":
             block = ast.parse("\n".join(line.strip() for line in lines[first - 1 : last]))
-            held = [one.value for one in ast.walk(block) if isinstance(one, ast.Constant)]
-            missing = {float(value) for value in held if type(value) in (int, float)} - told
-            assert not missing, (name, missing)
+            assert not numbers_in(block) - told, name
 
 
 def test_every_prior_has_a_reason_or_a_unit_and_stands_in_the_model():
@@ -75,11 +77,6 @@ def test_every_prior_has_a_reason_or_a_unit_and_stands_in_the_model():
     for first, last, name in held_numbers(source):
         assert "#" in " ".join(lines[first - 1 : last]), name
     told = {float(number) for number in NUMBER.findall(model)}
-    held = {
-        float(one.value)
-        for node in ast.parse(source).body
-        if isinstance(node, ast.Assign)
-        for one in ast.walk(node.value)
-        if isinstance(one, ast.Constant) and type(one.value) in (int, float)
-    }
+    assigned = [node.value for node in ast.parse(source).body if isinstance(node, ast.Assign)]
+    held = set[float]().union(*map(numbers_in, assigned))
     assert sorted(held - told) == []
