@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from service.inference.filters.given import Updated
 from service.inference.filters.status import told_existence, widths_across
 from service.inference.model import existence, prior
@@ -12,8 +14,10 @@ _EAGER = 4  # numerical: searches of a leader, one frame after the other
 # numerical: of them for a body that is resolved, where a truth that was missed is less likely than this
 _EAGER_IF_SURE, _SURE = 2, 0.01
 _SOON = 3  # numerical: frames to the next search of a track that may have missed the truth
-# numerical: frames over which the first search of a settled track goes on; each that could not better it: times so many
-_FIRST, _RARER, _RAREST = 9, 3, 100
+# numerical: wrong answers that a search of a settled track is worth
+_WORTH = 0.15
+# numerical: frames over which it goes on, at the least; and at the most, for no law says how tracks go wrong later
+_LEAST_BETWEEN, _MOST_BETWEEN = 9, 1000
 # numerical: frames a part of a search that goes on over them, and the most parts: four take as long together as a whole
 # search, twelve twice as long, but keep a frame half as long
 _FRAMES_A_PART, _MOST_PARTS = 3, 12
@@ -31,6 +35,17 @@ def is_open(mixture: Mixture) -> bool:
     return not known or missed > _SURE or widths_across(mixture) < prior.UNLIKE_ACROSS
 
 
+def frames_between(mixture: Mixture) -> int:
+    """Frames in which the next search of a settled track is expected to save as many wrong answers as it is worth.
+
+    It saves one a frame where the truth was missed by all before, and it meets it.
+    """
+    missed, still = (
+        existence.missed(mixture.searches + more, mixture.misses, nats=mixture.searched_nats) for more in (0, 1)
+    )
+    return int(np.clip(_WORTH / (missed - still), _LEAST_BETWEEN, _MOST_BETWEEN))
+
+
 def part_due(before: Mixture | None, most_parts: int = _MOST_PARTS) -> Part | None:
     """As often as it is likely that the truth was missed; a track that many searches could not better has few.
 
@@ -44,7 +59,7 @@ def part_due(before: Mixture | None, most_parts: int = _MOST_PARTS) -> Part | No
         return WHOLE if frames > 1 else None
     if before.searches < eager + before.misses or is_doubted(before):
         return WHOLE if frames >= _SOON else None
-    between = min(_FIRST * _RARER ** (before.searches - eager), _RAREST)
+    between = frames_between(before)
     count = min(between // _FRAMES_A_PART, _MOST_PARTS, most_parts)
     part = Part(min(before.parts_searched, count - 1), count)
     return part if frames * count >= between * (part.number + 1) else None
