@@ -9,7 +9,11 @@ import pytest
 from hypothesis import settings
 from postgres_server import Postgres
 
+from service.workers.interpreter import use_one_blas_thread
+
 ROOT = Path(__file__).resolve().parent.parent
+
+use_one_blas_thread()  # NumPy is not loaded yet: trackers here are as a worker has them
 
 # Machines differ in speed: no test fails for being slow. In CI the same examples every time.
 settings.register_profile("local", deadline=None)

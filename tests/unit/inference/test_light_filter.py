@@ -125,15 +125,16 @@ def test_a_settled_track_has_its_search_in_parts_and_counts_it_when_all_are_done
     state, parts, plain = passed()[2][0], [], filtering.rivals
     monkeypatch.setattr(filtering, "rivals", lambda *look: parts.append(look[4]) or plain(*look))
     monkeypatch.setattr(filtering, "search", lambda *look, **how: pytest.fail("a whole search"))
-    held, counts = replace(state.mixture, searches=2, ever_tracked=True, parts_searched=0), []
-    for k in range(3, 6):
-        state = replace(state, mixture=replace(held, since_search=9))  # the next part is due
+    few = {"searches": 4, "searched_nats": 340.0}  # over 16 frames
+    held, counts = replace(state.mixture, ever_tracked=True, parts_searched=0, **few), []
+    for k in range(3, 8):
+        state = replace(state, mixture=replace(held, since_search=16))  # the next part is due
         state, estimate = advance(state, frame(k), k)
         held = state.mixture
         counts.append((held.searches, held.parts_searched, held.since_search))
         assert estimate.status == "tracking" and error_deg(estimate, k) < 3.0
-    assert [part.number for part in parts] == list(range(parts[0].count)) == list(range(3))
-    assert counts == [(2, 1, 10), (2, 2, 10), (3, 0, 0)]
+    assert [part.number for part in parts] == list(range(parts[0].count)) == list(range(5))
+    assert counts == [(4, 1, 17), (4, 2, 17), (4, 3, 17), (4, 4, 17), (5, 0, 0)]
 
 
 def test_a_track_that_is_wrong_is_bettered_by_the_part_that_meets_the_truth():
