@@ -125,10 +125,9 @@ def test_a_settled_track_has_its_search_in_parts_and_counts_it_when_all_are_done
     state, parts, plain = passed()[2][0], [], filtering.rivals
     monkeypatch.setattr(filtering, "rivals", lambda *look: parts.append(look[4]) or plain(*look))
     monkeypatch.setattr(filtering, "search", lambda *look, **how: pytest.fail("a whole search"))
-    few = {"searches": 4, "searched_nats": 340.0}  # over 16 frames
-    held, counts = replace(state.mixture, ever_tracked=True, parts_searched=0, **few), []
+    held, counts = replace(state.mixture, searches=4, searched_nats=340.0, ever_tracked=True, parts_searched=0), []
     for k in range(3, 8):
-        state = replace(state, mixture=replace(held, since_search=16))  # the next part is due
+        state = replace(state, mixture=replace(held, since_search=16))  # the next of five parts is due
         state, estimate = advance(state, frame(k), k)
         held = state.mixture
         counts.append((held.searches, held.parts_searched, held.since_search))
