@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -28,6 +28,7 @@ _HALF_STEP = 0.09  # numerical: of the scales, log
 _PER_LOG_SCALE = 0.5  # numerical: correlation that a look may lose for a scale e times off
 _BRIGHTEST, _DARKEST = 0.97, 0.995  # numerical: quantiles that stand for the brightest pixels, of light and of all
 _AROUND, _LEAST_AROUND_PX = 0.45, 0.4  # numerical: width of a look's sampling, template px, frame px
+_NOTHING = 1e-9  # numerical: of a Gaussian's height: products with what float32 holds as denormal are slow
 _CHUNK = 512  # numerical: templates drawn at once
 
 
@@ -95,9 +96,11 @@ def looks(image: Images, sigma: float) -> Looks:
         centre, rim = (m[0] for m in T.lit_moments(mask[None].astype(np.float32)))
         for zoom in float(rim) / T._RIM_PX * np.array(_SCALES):
             tried = centre + zoom * np.array(_SHIFTS_PX)[:, None] - zoom * T.SIDE / 2  # (shifts, 2)
-            across, down = (np.stack([_sampling(len(image), zoom, at) for at in tried[:, k]]) for k in (0, 1))
+            across, down = (_sampling(len(image), zoom, tried[:, k]) for k in (0, 1))  # (shifts * S, size)
             for light, to in ((above, pictures), (some.astype(np.float32), outlines)):
-                to.append(np.matmul((down @ light)[None], np.swapaxes(across, 1, 2)[:, None]))  # (across, down, S, S)
+                seen = np.asarray(down @ light @ across.T, np.float32)
+                each = seen.reshape(len(tried), T.SIDE, len(tried), T.SIDE)
+                to.append(each.transpose(2, 0, 1, 3))  # across, down, S, S
             x, y = np.meshgrid(tried[:, 0], tried[:, 1], indexing="ij")
             offsets.append(np.column_stack([x.ravel(), y.ravel()]))
             zooms += [zoom] * x.size
@@ -117,39 +120,50 @@ def _blurred(image: Images, sigma: float) -> Images:
     return np.asarray(matrix @ image @ matrix, np.float32)
 
 
-def _sampling(size: int, zoom: float, offset: float) -> Images:
-    """(SIDE, size) means of the frame's pixels around each template pixel's centre, a Gaussian half of it wide."""
-    at = zoom * (np.arange(T.SIDE) + 0.5) + offset
+def _sampling(size: int, zoom: float, offsets: Array) -> Images:
+    """(K * SIDE, size) means of the frame's pixels around each template pixel's centre, a Gaussian half of it wide."""
+    at = zoom * (np.arange(T.SIDE) + 0.5) + offsets[:, None]
     wide = max(_AROUND * zoom, _LEAST_AROUND_PX)
-    weight = np.exp(-0.5 * ((np.arange(size) + 0.5 - at[:, None]) / wide) ** 2)
+    weight = np.exp(-0.5 * ((np.arange(size) + 0.5 - at.reshape(-1, 1)) / wide) ** 2)
+    weight[weight < _NOTHING] = 0.0
     return np.asarray(weight / (wide * np.sqrt(2 * np.pi)), np.float32)
 
 
 def match(
-    bank: T.Bank, seen: Looks, log_scale: float | None = None, log_scale_sigma: float = 0.03
+    bank: T.Bank,
+    seen: Looks,
+    log_scale: float | None = None,
+    log_scale_sigma: float = 0.03,
+    *,
+    kept: int | None = None,
+    each: Callable[..., Iterable[tuple[Images, NDArray[np.intp]]]] = map,
 ) -> tuple[Array, list[Poses]]:
     """(kinds, N) best correlation of each template, and the pose that it means at its best look of each kind.
 
     A told scale prefers looks that agree with it (within three sigma and half a step of the scales).
+    ``kept``: no more of each kind are compared in full; which ones, and what of others is told, is what their principal
+    pictures say. ``each``: ``map``, or one that goes through the kinds at once.
     """
     scores, poses = [], []
     if not len(seen.zoom):
         nothing = np.full((len(bank.pictures), len(bank.poses)), -1.0)
         return nothing, [bank.poses] * len(bank.pictures)
-    scale = bank.poses.log_scale[:, None] + np.log(seen.zoom)[None]  # (N, V)
-    off: NDArray[np.floating] | float = 0.0
+    scale, off = bank.poses.log_scale[:, None] + np.log(seen.zoom)[None], None  # (N, V)
     if log_scale is not None:
         wide = 3 * log_scale_sigma + _HALF_STEP
         off = _PER_LOG_SCALE * np.maximum(np.abs(scale - log_scale) - wide, 0.0).astype(np.float32)
 
-    def likest(templates: Images, pictures: Images) -> tuple[Images, NDArray[np.intp]]:
-        product = templates @ pictures.T - off
-        best = np.argmax(product, axis=1)
-        return np.take_along_axis(product, best[:, None], 1)[:, 0], best
+    def likest(kind: int) -> tuple[Images, NDArray[np.intp]]:
+        templates, pictures = bank.pictures[kind], seen.pictures[kind]
+        if kept is None or kept >= len(templates):
+            return _greatest(templates @ pictures.T, off)
+        basis, shares = (one[kind] for one in bank.principal)
+        score, best = _greatest(shares @ (pictures @ basis).T, off)
+        near = np.argpartition(-score, kept)[:kept]
+        score[near], best[near] = _greatest(templates[near] @ pictures.T, None if off is None else off[near])
+        return score, best
 
-    with ThreadPoolExecutor(len(seen.pictures)) as pool:
-        found = list(pool.map(likest, bank.pictures, seen.pictures))
-    for score, best in found:
+    for score, best in each(likest, range(len(seen.pictures))):
         scores.append(score)
         zoom = seen.zoom[best]
         position = bank.poses.position * zoom[:, None] + seen.offset[best]
@@ -158,3 +172,11 @@ def match(
             size = np.clip(size, log_scale - wide, log_scale + wide)
         poses.append(Poses(bank.poses.quaternion, position, size, bank.poses.joints))
     return np.stack(scores).astype(np.float64), poses
+
+
+def _greatest(product: Images, off: Images | None) -> tuple[Images, NDArray[np.intp]]:
+    """(N,) greatest of each row, what is off it taken away, and where it is."""
+    if off is not None:
+        product -= off
+    best = np.argmax(product, axis=1)
+    return np.take_along_axis(product, best[:, None], 1)[:, 0], best

@@ -7,10 +7,11 @@ the frame are enough; the comparison is then one matrix product. The bank is goo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from service.inference.articulation import Articulation
 from service.inference.model.spread import band
@@ -25,6 +26,8 @@ _RIM_PX = 3.75
 _FIRST_SIDE = 24  # numerical: of the draft from which the moments are taken
 _LIT = 0.08  # numerical: of the brighter light: lit from here on
 _BRIGHTER, _MOST = 0.99, 1.5  # numerical: quantile that light is a share of, and its greatest share
+# numerical: pictures in which templates are compared at first, found of every so many: 0.97 of what they show
+_PRINCIPAL, _PRINCIPAL_OF = 64, 4
 _BLUR_PX = 0.5  # numerical: of the pictures: rotations lie 12 degrees apart
 """Numerical: sizes of the pictures. None of them decides between poses; what follows the bank does."""
 
@@ -39,6 +42,17 @@ class Bank:
 
     def __getitem__(self, index: slice) -> Bank:
         return Bank(self.suns[index], self.poses[index], self.pictures[:, index])
+
+    @cached_property
+    def principal(self) -> tuple[Images, Images]:
+        """The pictures that templates are mostly made of (kinds, SIDE * SIDE, P), and their shares (kinds, N, P)."""
+        basis, shares = [], []
+        for pictures in self.pictures:
+            some = pictures[::_PRINCIPAL_OF]
+            largest = (SIDE**2 - min(_PRINCIPAL, SIDE**2), SIDE**2 - 1)
+            basis.append(eigh(some.T @ some, subset_by_index=largest)[1])
+            shares.append(pictures @ basis[-1])
+        return np.stack(basis), np.stack(shares)
 
 
 @lru_cache(maxsize=8)

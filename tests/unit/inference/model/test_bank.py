@@ -1,6 +1,7 @@
 """Templates: rotations over all of SO(3), pictures brought to one place and size, and the frame held against them."""
 
 import functools
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -173,6 +174,28 @@ def test_looks_that_agree_with_a_told_scale_are_preferred_to_such_as_are_little_
         _, poses = banks.match(bank(), seen, told, 0.02)
         offset = poses[0].position[77] - bank().poses.position[77] * seen.zoom[chosen]
         assert offset == pytest.approx(seen.offset[chosen])
+
+
+@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize("k", [3, 180, 301])
+def test_the_likest_are_compared_in_full_where_principal_pictures_choose_them(k, told):
+    """None of the twenty likest is missed among 80 that the principal pictures name; they have the scores of all."""
+    truth, image = frame(k, 30.0, (48.0, 48.0))
+    seen, scale = banks.looks(image, SIGMA), float(truth.log_scale[0]) if told else None
+    scores, poses = banks.match(bank(), seen, scale)
+    few, few_poses = banks.match(bank(), seen, scale, kept=80)
+    for whole, score, pose, few_pose in zip(scores, few, poses, few_poses, strict=True):
+        likest = np.argsort(-whole)[:20]
+        assert score[likest] == pytest.approx(whole[likest], abs=1e-5)
+        assert few_pose.position[likest] == pytest.approx(pose.position[likest])
+        assert np.sqrt(np.mean((score - whole) ** 2)) < 0.05 and (score != whole).any()
+
+
+def test_kinds_may_be_compared_at_once():
+    seen = banks.looks(frame(77, 30.0, (48.0, 48.0))[1], SIGMA)
+    with ThreadPoolExecutor(2) as pool:
+        at_once = banks.match(bank(), seen, each=pool.map)[0]
+    assert np.array_equal(at_once, banks.match(bank(), seen)[0])
 
 
 def test_a_body_darker_than_the_sky_is_matched_by_its_shape():
