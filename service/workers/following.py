@@ -38,7 +38,7 @@ from service.workers.lit_frame import LightOfFrame, region_of
 from service.workers.panels import sun_tracking
 from service.workers.smoothing import with_rates
 
-_BANKS, _BANK_BYTES = 8, 1 << 28  # 23 MB each, 70 of a body with two joints
+_BANKS, _BANK_BYTES = 8, 1 << 28  # 29 MB each, 87 of a body with two joints
 _SAME_SUN_RAD = 0.05  # templates 12 degrees apart do not feel it
 _ANY_SUN_RAD = 1.0  # what is believed of a Sun that is not told: it is searched
 
@@ -49,7 +49,7 @@ class Following:
     def __init__(self, size: int) -> None:
         self._bodies: Cache[LitBody] = Cache(size, lambda body: body.close())
         self._tracking: Cache[SunTracking | None] = Cache(size)
-        self._banks: Cache[_Kept] = Cache(_BANKS, weigh=lambda kept: kept.bank.pictures.nbytes, most_bytes=_BANK_BYTES)
+        self._banks: Cache[_Kept] = Cache(_BANKS, weigh=lambda kept: kept.bank.nbytes, most_bytes=_BANK_BYTES)
 
     def track(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.inference.model import templates as T
 from service.inference.model.drawing import Drawing, Quality, View
-from service.inference.model.spread import band
+from service.inference.model.spread import LEAST, band
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.state import Array, Poses
 
@@ -28,7 +28,6 @@ _HALF_STEP = 0.09  # numerical: of the scales, log
 _PER_LOG_SCALE = 0.5  # numerical: correlation that a look may lose for a scale e times off
 _BRIGHTEST, _DARKEST = 0.97, 0.995  # numerical: quantiles that stand for the brightest pixels, of light and of all
 _AROUND, _LEAST_AROUND_PX = 0.45, 0.4  # numerical: width of a look's sampling, template px, frame px
-_NOTHING = 1e-9  # numerical: of a Gaussian's height: products with what float32 holds as denormal are slow
 _CHUNK = 512  # numerical: templates drawn at once
 
 
@@ -125,7 +124,7 @@ def _sampling(size: int, zoom: float, offsets: Array) -> Images:
     at = zoom * (np.arange(T.SIDE) + 0.5) + offsets[:, None]
     wide = max(_AROUND * zoom, _LEAST_AROUND_PX)
     weight = np.exp(-0.5 * ((np.arange(size) + 0.5 - at.reshape(-1, 1)) / wide) ** 2)
-    weight[weight < _NOTHING] = 0.0
+    weight[weight < LEAST] = 0.0
     return np.asarray(weight / (wide * np.sqrt(2 * np.pi)), np.float32)
 
 
@@ -134,36 +133,39 @@ def match(
     seen: Looks,
     log_scale: float | None = None,
     log_scale_sigma: float = 0.03,
-    *,
     kept: int | None = None,
-    each: Callable[..., Iterable[tuple[Images, NDArray[np.intp]]]] = map,
 ) -> tuple[Array, list[Poses]]:
     """(kinds, N) best correlation of each template, and the pose that it means at its best look of each kind.
 
     A told scale prefers looks that agree with it (within three sigma and half a step of the scales).
     ``kept``: no more of each kind are compared in full; which ones, and what of others is told, is what their principal
-    pictures say. ``each``: ``map``, or one that goes through the kinds at once.
+    pictures say.
     """
     scores, poses = [], []
     if not len(seen.zoom):
         nothing = np.full((len(bank.pictures), len(bank.poses)), -1.0)
         return nothing, [bank.poses] * len(bank.pictures)
-    scale, off = bank.poses.log_scale[:, None] + np.log(seen.zoom)[None], None  # (N, V)
+    off: Images | None = None
     if log_scale is not None:
+        scale = bank.poses.log_scale[:, None] + np.log(seen.zoom)[None]  # (N, V)
         wide = 3 * log_scale_sigma + _HALF_STEP
         off = _PER_LOG_SCALE * np.maximum(np.abs(scale - log_scale) - wide, 0.0).astype(np.float32)
+    few = min(kept or len(bank.poses), len(bank.poses))
+    principal = bank.principal if few < len(bank.poses) else None
 
     def likest(kind: int) -> tuple[Images, NDArray[np.intp]]:
         templates, pictures = bank.pictures[kind], seen.pictures[kind]
-        if kept is None or kept >= len(templates):
+        if principal is None:
             return _greatest(templates @ pictures.T, off)
-        basis, shares = (one[kind] for one in bank.principal)
+        basis, shares = (one[kind] for one in principal)
         score, best = _greatest(shares @ (pictures @ basis).T, off)
-        near = np.argpartition(-score, kept)[:kept]
+        near = np.argpartition(-score, few)[:few]
         score[near], best[near] = _greatest(templates[near] @ pictures.T, None if off is None else off[near])
         return score, best
 
-    for score, best in each(likest, range(len(seen.pictures))):
+    with ThreadPoolExecutor(len(seen.pictures)) as pool:
+        found = list(pool.map(likest, range(len(seen.pictures))))
+    for score, best in found:
         scores.append(score)
         zoom = seen.zoom[best]
         position = bank.poses.position * zoom[:, None] + seen.offset[best]

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +9,7 @@ from numpy.typing import NDArray
 from service.inference.model import bank as banks
 from service.inference.model.candidates import SHARED_DEG, Candidates, distinct, joined
 from service.inference.model.stages import WHOLE, Part, PatchLike
-from service.inference.model.templates import KINDS, Bank
+from service.inference.model.templates import Bank
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import exp_so3, multiply, rotation_matrices
 from service.inference.state import Poses
@@ -41,11 +37,7 @@ def propose(bank: Bank, patch: PatchLike, told: PosePrior, part: Part = WHOLE) -
         bank = bank[part.own]
     else:
         ways = ways[part.own]
-    with ThreadPoolExecutor(len(KINDS)) as pool:
-        if count == 1:
-            met = [_met(bank, patch, told, 0.0, kept, pool.map)]
-        else:
-            met = list(pool.map(lambda way: _met(bank, patch, told, way, kept), ways))
+    met = [_met(bank, patch, told, way, kept, roughly=count > 1) for way in ways]
     some = joined([_best(joined(of_kind), kept) for of_kind in zip(*met, strict=True)])
     poses = some.poses
     position = poses.position * patch.binning + np.asarray(patch.origin)
@@ -53,22 +45,14 @@ def propose(bank: Bank, patch: PatchLike, told: PosePrior, part: Part = WHOLE) -
     return Candidates(placed, some.suns, np.full(len(placed), -np.inf))
 
 
-def _met(
-    bank: Bank,
-    patch: PatchLike,
-    told: PosePrior,
-    turn: float,
-    kept: int,
-    each: Callable[..., Iterable[Any]] | None = None,
-) -> list[Candidates]:
+def _met(bank: Bank, patch: PatchLike, told: PosePrior, turn: float, kept: int, roughly: bool) -> list[Candidates]:
     """Of each kind the likest templates, in patch px, if the frame is turned by so much (rad) from x to y.
 
-    ``each``: how kinds are gone through where they are compared in full.
+    ``roughly``: most templates are compared by their principal pictures, which are worth finding for many turns.
     """
     seen = banks.looks(_turned(patch.image, turn), patch.sigma)
     log_scale = None if told.log_scale is None else told.log_scale - np.log(patch.binning)
-    how = {"kept": 3 * kept} if each is None else {"each": each}
-    scores, poses = banks.match(bank, seen, log_scale, told.log_scale_sigma, **how)
+    scores, poses = banks.match(bank, seen, log_scale, told.log_scale_sigma, 3 * kept if roughly else None)
     out = []
     for score, here in zip(scores, poses, strict=True):
         order = np.argsort(-score)[: 3 * kept]

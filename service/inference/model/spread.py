@@ -24,7 +24,7 @@ MIXTURE_WIDTHS = (1.164, 1.936, 5.691)
 _INNER = MIXTURE_WEIGHTS[0] * MIXTURE_WIDTHS[0] ** 2 + MIXTURE_WEIGHTS[1] * MIXTURE_WIDTHS[1] ** 2
 _REACH = 5.5  # numerical: sigmas of a Gaussian that are summed: beyond lies less than a float32's rounding
 # numerical: of a Gaussian's height: products below a float32's exponents take 30 times as long
-_LEAST = 1e-12
+LEAST = 1e-12
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def band(side: int, sigma: float) -> NDArray[np.float32]:
     if sigma < 1e-3:
         return np.eye(side, dtype=np.float32)
     kernel = np.exp(-0.5 * (gap / sigma) ** 2)
-    kernel[kernel < _LEAST] = 0.0
+    kernel[kernel < LEAST] = 0.0
     reach = np.arange(-side, side + 1)
     matrix = np.asarray(kernel / np.exp(-0.5 * (reach / sigma) ** 2).sum(), np.float32)
     matrix.flags.writeable = False

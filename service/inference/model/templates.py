@@ -43,14 +43,18 @@ class Bank:
     def __getitem__(self, index: slice) -> Bank:
         return Bank(self.suns[index], self.poses[index], self.pictures[:, index])
 
+    @property
+    def nbytes(self) -> int:
+        """Of its pictures, and of what they are mostly made of, found yet or not."""
+        return self.pictures.nbytes * (SIDE**2 + _PRINCIPAL) // SIDE**2
+
     @cached_property
     def principal(self) -> tuple[Images, Images]:
         """The pictures that templates are mostly made of (kinds, SIDE * SIDE, P), and their shares (kinds, N, P)."""
         basis, shares = [], []
         for pictures in self.pictures:
             some = pictures[::_PRINCIPAL_OF]
-            largest = (SIDE**2 - min(_PRINCIPAL, SIDE**2), SIDE**2 - 1)
-            basis.append(eigh(some.T @ some, subset_by_index=largest)[1])
+            basis.append(eigh(some.T @ some, subset_by_index=(SIDE**2 - _PRINCIPAL, SIDE**2 - 1))[1])
             shares.append(pictures @ basis[-1])
         return np.stack(basis), np.stack(shares)
 

@@ -24,11 +24,10 @@ def test_a_search_is_due_where_it_may_put_right_what_it_is_worth(nats, misses):
     for searches in range(4, 40):
         held = replace(mixture(searches=searches, misses=misses), searched_nats=nats)
         before, after = (missed(searches + more, misses, nats=nats) for more in (0, 1))
-        worth = frames_between(held) * (before - after)
-        if frames_between(held) in (9, 1000):
-            assert (worth >= 0.15) == (frames_between(held) == 9) or worth == pytest.approx(0.15, rel=0.1)
-        else:
-            assert 0.15 - (before - after) < worth <= 0.15
+        between, gain = frames_between(held), before - after
+        assert 9 <= between <= 1000
+        assert between == 9 or between * gain <= 0.15
+        assert between == 1000 or (between + 1) * gain > 0.15
 
 
 def test_a_track_that_no_search_could_better_is_searched_ever_more_seldom():
