@@ -7,8 +7,9 @@ import numpy as np
 from lit_body import box
 
 from gpu.mesh import assemble
-from service.imaging.background import Sky, derive, known_pixels, learn
+from service.imaging.background import known_pixels, learn
 from service.imaging.features import feature_spec
+from service.imaging.sky import Sky, derive
 from service.inference.articulation import Articulation
 from service.inference.model.drawing import Lens
 from service.inference.pose import exp_so3, multiply

@@ -24,8 +24,9 @@ from service.bench.likelihood_basins import (
 )
 from service.bench.runner import learned_sky
 from service.bench.told import Told, turned
-from service.imaging.background import Background, Sky, derive
+from service.imaging.background import Background
 from service.imaging.decode import decode_frame
+from service.imaging.sky import Sky, derive
 from service.inference.articulation import Articulation, hold
 from service.inference.model.drawing import Quality, View
 from service.inference.model.search import Found, make_bank, search

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.bench.brightness import counts, pixels
+from service.bench.canvas import on_canvas
 from service.bench.cases import Case
 from service.inference.params import SessionConfig
 from service.inference.pose import exp_so3, rotation_matrices
@@ -25,6 +26,7 @@ class Told:
     scale: bool = False
     sky: bool = True  # empty frames; else it is learned from the frames themselves
     stretch: float | None = None  # the frames' counts are the light to this power, and that is told
+    canvas: int | None = None  # the frames lie in the midst of an image of this side, px
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
         """A session's configuration with what it is told. What was set already stays as it is."""
@@ -39,8 +41,10 @@ class Told:
         return config
 
     def shown(self, case: Case) -> Case:
-        """The case as a camera would show it that stretches light."""
+        """The case as a camera would show it that sees more of the sky, or stretches light."""
         power = self.stretch
+        if self.canvas is not None:
+            case = on_canvas(case, self.canvas)
         if power is None:
             return case
         return replace(

@@ -18,6 +18,7 @@ from service.cli.bench_misfits import misfits
 from service.cli.bench_motion import motion
 from service.cli.bench_real import real
 from service.cli.bench_scorers import scorers
+from service.cli.bench_sky import sky
 from service.cli.bench_start import start
 from service.cli.bench_step import step
 
@@ -41,6 +42,7 @@ Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE
 
 bench.command()(scorers)
 bench.command()(start)
+bench.command()(sky)
 bench.command()(step)
 bench.command()(light)
 bench.command()(likelihood)
@@ -76,6 +78,9 @@ def track(
     own_sky: Annotated[
         bool, typer.Option("--own-sky", help="Give no empty frames: the sky is the frames' own.")
     ] = False,
+    canvas: Annotated[
+        int | None, typer.Option(min=64, max=8192, help="Frames in the midst of so many px of their sky, a side.")
+    ] = None,
     untied: Annotated[
         float | None, typer.Option(help="All joints move on their own, each known within so many degrees.")
     ] = None,
@@ -85,7 +90,7 @@ def track(
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky, stretch))
+    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky, stretch, canvas))
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())
         selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials, untied)

@@ -11,17 +11,12 @@ import math
 import zipfile
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.clutter import Box, cluttered_box
 from service.imaging.features import FeatureSpec, feature_bins, feature_spec
-from service.imaging.own_sky import filled
 
 KEPT_FRAMES = 16  # numerical: enough for a per-pixel median that no star survives
-_HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
-_SQUARE, _CHANCE = 8, 6.0  # numerical: px that noise may be alike over; standard deviations
 KEPT_BYTES = 64 * 2**20  # numerical: memory of one sky
 # prior: share of the uniform distribution mixed into every histogram: no pixel may rule alone
 FLOOR = 1e-3
@@ -101,22 +96,6 @@ def _require_stored(blob: bytes) -> None:
         raise ValueError(f"no background: {error}") from error
 
 
-@dataclass(frozen=True)
-class Sky:
-    """Derived from a background, cached by content."""
-
-    mean: NDArray[np.float32]  # (H, W, C) brightness per pixel
-    covariance: NDArray[np.float64]  # (C, C) of one pixel's noise, as loud over squares as if it were white
-    log_density: NDArray[np.float64]  # (bins,) log p(D|b) of the feature
-    spec: FeatureSpec
-    clutter: Box | None = None  # in which the body was told to lie, where there is more than sky about it
-
-    @property
-    def sigma(self) -> NDArray[np.float64]:
-        """(C,) noise of one pixel."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-
 def learn(
     background: Background | None,
     image: NDArray[np.generic],
@@ -151,94 +130,3 @@ def known_pixels(
         b = max(1, round(border_px))
         known[b : max(b, height - b), b : max(b, width - b)] = False
     return known
-
-
-def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sky:
-    """Mean, noise and p(D|b) of a background.
-
-    The mean is the per-pixel median over frames whose own level has been taken out, lightly smoothed while there
-    are few frames, and a smooth surface through what is known where no frame showed the sky; the noise is the
-    deviation about it without outliers, so stars do not count.
-    """
-    channels = background.shape[2]
-    spec = feature_spec(feature, channels, background.bits, gradient_sigma_px)
-    counts = background.counts
-    density = (1 - FLOOR) * counts / max(1.0, counts.sum()) + FLOOR / spec.n_bins
-    frames = background.frames.astype(np.float32)
-    known = background.known
-    level = np.median(frames[:, known], axis=1)[:, None, None]
-    mean = np.asarray(np.median(frames - level, axis=0), np.float32)
-    if not known.all():  # elsewhere it is the object that was seen
-        mean = filled(mean, known)
-    residual = frames - level - mean
-    noise = _noise(residual[:, known])
-    if len(frames) < KEPT_FRAMES:
-        smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1)
-        residual = frames - level - smooth
-        noise = _noise(residual[:, known])
-        stands = mean - smooth
-        hot = np.abs(stands) > _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
-        # in every frame: where a telescope follows its object stars pass, and are gone when it is there
-        hot &= (residual * np.sign(stands) > 0.5 * np.abs(stands)).all(axis=0)
-        mean = np.where(hot, mean, smooth) if len(frames) > 2 else smooth
-    noise = noise * _alike(residual, known)
-    mean = mean + np.median(level, axis=0).astype(np.float32)
-    return Sky(
-        np.ascontiguousarray(mean, dtype=np.float32),
-        noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0)),  # below half a count quantisation is the noise
-        np.log(density),
-        spec,
-        cluttered_box(background.frames[-1], known),
-    )
-
-
-def _noise(residual: NDArray[np.float32]) -> NDArray[np.float64]:
-    """(K, M, C) -> (C, C) covariance of what lies within four of the robust deviations.
-
-    The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
-    fifth off at two counts.
-    """
-    robust = 1.4826 * np.median(np.abs(residual), axis=(0, 1))
-    inside = np.abs(residual) <= 4 * np.maximum(robust, 0.5)
-    seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
-    both = inside.reshape(seen.shape).astype(np.float64)
-    return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
-
-
-def _alike(residual: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
-    """Pixels whose noise is one: by how much the variance of squares' means exceeds that of white noise; 1 where chance
-    may be the reason.
-
-    Noise of enlarged, stacked or filtered images is alike in neighbours. As light is as smooth there, white noise that
-    is as loud over a square says what such an image can tell. Differences of frames have no pattern of the sensor's.
-    """
-    changes = np.diff(residual, axis=0) if len(residual) > 1 else residual
-    n, height, width, channels = changes.shape
-    rows, columns = height // _SQUARE, width // _SQUARE
-    shape = (n, rows, _SQUARE, columns, _SQUARE, channels)
-    squares = changes[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).mean(axis=(2, 4))
-    whole = known[: rows * _SQUARE, : columns * _SQUARE].reshape(shape[1:5]).all(axis=(1, 3))
-    if not whole.any():
-        return 1.0
-    loud, white = np.trace(_noise(_SQUARE * squares[:, whole])), np.trace(_noise(changes[:, known]))
-    chance = _CHANCE * np.sqrt(2 / (n * np.count_nonzero(whole)))
-    return float(loud / white) if loud > (1 + chance) * white > 0 else 1.0
-
-
-def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Low-pass of one channel in which stars do not leak: outliers are replaced by the coarse level around them.
-
-    The coarse level is an average without the outliers, which are known only once there is a coarse level: three
-    rounds are enough.
-    """
-    sigma = max(2.0, min(mean.shape) / 40)
-    overall = float(np.median(mean))
-    sky = np.ones(mean.shape, dtype=np.float32)
-    coarse = mean
-    for _ in range(3):
-        weight = cv2.GaussianBlur(sky, (0, 0), sigma) + 1e-3  # in the midst of a wide outlier: the overall level
-        coarse = (cv2.GaussianBlur(mean * sky, (0, 0), sigma) + 1e-3 * overall) / weight
-        deviation = np.abs(mean - coarse)
-        sky = (deviation <= 4 * 1.4826 * np.median(deviation) + 1e-6).astype(np.float32)
-    clean = np.where(sky > 0, mean, coarse)
-    return np.asarray(cv2.GaussianBlur(clean.astype(np.float32), (0, 0), sigma / 2), dtype=np.float32)

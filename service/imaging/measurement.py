@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.background import Sky
 from service.imaging.features import feature_bins
+from service.imaging.sky import Sky
 
 
 def measure(image: NDArray[np.generic], sky: Sky) -> tuple[NDArray[np.float32], float]:

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 _BORDER_SHARE = 12  # numerical: of the shorter side: the ring from which the first guess comes
 _ROUNDS = 4  # numerical: of outliers found and left out
+_SAMPLE = 16_384  # numerical: pixels that tell a surface, and its noise to half a percent
 _OUTLIER_SIGMAS = 4.0  # numerical: of one pixel
 _SMOOTH_PX = 1.5  # prior: light is at least so smooth
 _LIGHT_SIGMAS = 5.0  # prior: after that smoothing: one pixel in a million of empty sky
@@ -34,13 +35,12 @@ def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic],
     """
     data = np.asarray(image, np.float32)
     data = data[..., None] if data.ndim == 2 else data
-    terms = _terms(*data.shape[:2])
     grey = data.mean(axis=2)
     ring = _ring(*grey.shape)
-    surface, sigma = _surface(grey, terms, ring)
+    surface, sigma = _surface(grey, ring)
     known = ~_light(grey - surface, sigma, _BRIGHT_SHARE)
     known = _enough(known, ring, grey - surface, sigma)
-    surface, sigma = _sky(grey, terms, known)
+    surface, sigma = _sky(grey, known)
     known = _enough(~_light(grey - surface, sigma), ring, grey - surface, sigma)
     whole = np.clip(np.rint(filled(data, known)), 0, (1 << bits) - 1).astype(image.dtype)
     return whole.reshape(image.shape), known
@@ -48,20 +48,13 @@ def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic],
 
 def filled(image: Map, known: NDArray[np.bool_]) -> Map:
     """``image`` (H, W, C) with a smooth surface through the ``known`` pixels (H, W) in the place of all others."""
-    terms = _terms(*known.shape)
-    surfaces = [_sky(image[..., channel], terms, known)[0] for channel in range(image.shape[2])]
+    surfaces = [_sky(image[..., channel], known)[0] for channel in range(image.shape[2])]
     return np.where(known[..., None], image, np.stack(surfaces, axis=-1))
 
 
 def surface_through(channel: Map, known: NDArray[np.bool_]) -> Map:
     """(H, W) level, slopes and bends through the ``known`` pixels of one channel."""
-    return _surface(channel, _terms(*channel.shape), known)[0]
-
-
-def _terms(height: int, width: int) -> NDArray[np.float32]:
-    """(6, H, W) level, slopes and bends across the image: what stray light and vignetting leave."""
-    across, down = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
-    return np.stack([np.ones_like(across), across, down, across**2, across * down, down**2]).astype(np.float32)
+    return _surface(channel, known)[0]
 
 
 def _ring(height: int, width: int) -> NDArray[np.bool_]:
@@ -71,14 +64,17 @@ def _ring(height: int, width: int) -> NDArray[np.bool_]:
     return ring
 
 
-def fitted(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[Array, float]:
-    """Coefficients of the surface through the pixels that are chosen, and their noise, without what stands out.
+def some_of(where: NDArray[np.bool_], most: int) -> NDArray[np.intp]:
+    """Flat numbers of the pixels that are chosen, or of about so many of them, all over."""
+    chosen = np.flatnonzero(where)
+    return chosen[:: max(1, len(chosen) // most) | 1]  # odd: no column of an image of even width is left out
 
-    ``terms`` (T, H, W) and ``where`` (H, W): (T,). Stars and hot pixels stand out.
+
+def fitted(columns: NDArray[np.float32], values: NDArray[np.float32]) -> tuple[Array, float]:
+    """Coefficients (T,) of ``columns`` (T, N) to (N,) pixels, and their noise, without what stands out: stars, hot
+    pixels.
     """
-    columns, values = terms[:, where], channel[where]
-    inside = np.ones(len(values), dtype=bool)
-    level = np.zeros(len(terms))
+    level = np.zeros(len(columns))
     level[0] = np.median(values)
     sigma = _LEAST_SIGMA
     for _ in range(_ROUNDS):
@@ -90,10 +86,17 @@ def fitted(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) -
     return level, sigma
 
 
-def _surface(channel: Map, terms: NDArray[np.float32], where: NDArray[np.bool_]) -> tuple[Map, float]:
-    """(H, W) the same as an image."""
-    level, sigma = fitted(channel, terms, where)
-    return np.tensordot(level, terms, 1).astype(np.float32), sigma
+def _surface(channel: Map, where: NDArray[np.bool_]) -> tuple[Map, float]:
+    """(H, W) level, slopes and bends through the chosen pixels, and the noise about them."""
+    height, width = channel.shape
+    across, down = (np.linspace(-1, 1, size, dtype=np.float32) for size in (width, height))
+    chosen = some_of(where, _SAMPLE)
+    rows, columns = np.divmod(chosen, width)
+    x, y = across[columns], down[rows]
+    level, sigma = fitted(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y]), channel.ravel()[chosen])
+    whole, right, below, bend, twist, sag = level.astype(np.float32)
+    surface = whole + right * across + bend * across**2 + (below * down + sag * down**2)[:, None]
+    return surface + (twist * down)[:, None] * across, sigma
 
 
 def _enough(known: NDArray[np.bool_], ring: NDArray[np.bool_], above: Map, sigma: float) -> NDArray[np.bool_]:
@@ -101,14 +104,15 @@ def _enough(known: NDArray[np.bool_], ring: NDArray[np.bool_], above: Map, sigma
     return known if known.sum() >= ring.sum() / 2 else ring & (np.abs(above) <= _OUTLIER_SIGMAS * sigma)
 
 
-def _sky(channel: Map, terms: NDArray[np.float32], known: NDArray[np.bool_]) -> tuple[Map, float]:
+def _sky(channel: Map, known: NDArray[np.bool_]) -> tuple[Map, float]:
     """The whole smooth surface, and the noise about it."""
-    surface, sigma = _surface(channel, terms, known)
+    surface, sigma = _surface(channel, known)
+    chosen = some_of(known, _SAMPLE)
     for _ in range(2):
         left = channel - surface
         sky = (known & (np.abs(left) <= _OUTLIER_SIGMAS * sigma)).astype(np.float32)
         haze = _haze(left * sky, sky)
-        sigma = max(1.4826 * float(np.median(np.abs((left - haze)[known]))), _LEAST_SIGMA)
+        sigma = max(1.4826 * float(np.median(np.abs((left - haze).ravel()[chosen]))), _LEAST_SIGMA)
         surface = surface + haze
     return surface, sigma
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.background import Sky
 from service.imaging.own_sky import fitted
+from service.imaging.sky import Sky
 
 Map = NDArray[np.float32]
 
@@ -100,7 +100,7 @@ def _own_level(above: Map, sigma: float) -> Map:
     every = max(1, int(np.sqrt(above.size / _LEVEL_PIXELS)))  # a sample tells the level well enough
     across, down, terms, edge = _plane_of(above.shape, every)
     some = above[::every, ::every]
-    plane = fitted(some, terms, edge)[0]
+    plane = fitted(terms[:, edge], some[edge])[0]
     for _ in range(_LEVEL_ROUNDS):
         sky = np.abs(some - np.tensordot(plane, terms, 1)) < _LEVEL_SIGMAS * sigma
         if np.count_nonzero(sky & edge) < 0.5 * np.count_nonzero(edge):

@@ -58,8 +58,14 @@ class Pieces:
         """(N,) longer sides, px."""
         return np.asarray((self.boxes[:, 2:] - self.boxes[:, :2]).max(axis=1, initial=0))
 
-    def stars_of(self, light: Light, box: Box | None) -> Light:
-        """The light with what may be stars told apart: all that is as small and lies outside of the object's box."""
+    def stars_of(self, light: Light, box: Box | None, known_px: float = 0.0) -> Light:
+        """The light with what may be stars told apart: all that is as small and lies outside of the object's box.
+
+        ``known_px``: what the object's light spanned until now. Where that is more than a star and nothing larger than
+        one shows, the object's box may be a star's, too.
+        """
+        if self.extent.max(initial=0) <= _STAR_PX < known_px:
+            box = None
         x, y = light.origin
         nothing = (np.inf, np.inf, -np.inf, -np.inf)
         within = nothing if box is None else (box.left - x, box.top - y, box.right - x, box.bottom - y)

@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from gpu.mesh import Mesh
-from service.imaging.background import Sky
 from service.imaging.decode import Frame as Image
+from service.imaging.sky import Sky
 from service.inference.articulation import Articulation
 from service.inference.belief import Belief, belief_of_mixture
 from service.inference.clutter.step import Surroundings
@@ -34,7 +34,7 @@ from service.workers.cache import Cache
 from service.workers.cluttered_frame import ClutteredFrame, Lifting
 from service.workers.full_frame import in_full_frame, in_window, scale_in_window
 from service.workers.lit_body import LitBody
-from service.workers.lit_frame import LightOfFrame, region_of
+from service.workers.lit_frame import LightOfFrame, known_span, region_of
 from service.workers.panels import sun_tracking
 from service.workers.smoothing import with_rates
 
@@ -77,7 +77,8 @@ class Following:
             told_of_it = step_before_clutter(rng, job.state, given_here)
             return self._told(job, config, domain, *told_of_it)
         region = region_of(job.state, job.time_s, mesh.radius, (height, width))
-        light = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, region, lens)
+        known = region, lens, known_span(job.state)
+        light = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, *known)
         bank = partial(self._bank, key, body, told)
         given = Given(light, body, bank, told, config, domain, twins, job.frame_index, job.time_s, job.held)
         state, estimate = step(rng, of_body(job.state, body), given)

@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.background import Sky
 from service.imaging.patch import Light, Patch, cut, light_of, square_around
 from service.imaging.pieces import Box, Pieces, find_light, pieces_of, wider
 from service.imaging.psf import estimate_psf_sigma
+from service.imaging.sky import Sky
 from service.inference.model import existence
 from service.inference.model.drawing import Lens
 from service.inference.model.prior import CORE_PX
@@ -43,8 +43,13 @@ def region_of(state: FilterState | None, time_s: float, radius: float, shape: tu
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
 
 
+def known_span(state: FilterState | None) -> float:
+    """Frame px that the object's light spanned until now; 0: it has not been seen."""
+    return 0.0 if state is None or state.mixture is None else state.mixture.span_px
+
+
 class LightOfFrame:
-    """One frame above its sky; ``region``: where the object is expected."""
+    """One frame above its sky; ``region``: where the object is expected; ``known_px`` as ``Pieces.stars_of``."""
 
     def __init__(
         self,
@@ -54,9 +59,10 @@ class LightOfFrame:
         psf_px: float | None,
         region: Region | None = None,
         lens: Lens | None = None,
+        known_px: float = 0.0,
     ) -> None:
         self._image, self._sky, self._bits = image, sky, bits
-        self._psf_px, self._region, self._lens = psf_px, region, lens
+        self._psf_px, self._region, self._lens, self._known_px = psf_px, region, lens, known_px
 
     @cached_property
     def sight(self) -> Sight | None:
@@ -93,17 +99,17 @@ class LightOfFrame:
             pieces = pieces_of(light)
             box = find_light(light, pieces)
             if box is not None and self._ends_within(box):
-                return pieces.stars_of(light, box), pieces, box
+                return pieces.stars_of(light, box, self._known_px), pieces, box
         pieces = pieces_of(self._whole)
         box = find_light(self._whole, pieces)
-        return pieces.stars_of(self._whole, box), pieces, box
+        return pieces.stars_of(self._whole, box, self._known_px), pieces, box
 
     @cached_property
     def _all(self) -> Light:
         """Of the whole frame, wherever the object was found."""
         if self._light.image is self._whole.image:
             return self._light
-        return pieces_of(self._whole).stars_of(self._whole, self._box)
+        return pieces_of(self._whole).stars_of(self._whole, self._box, self._known_px)
 
     @property
     def _light(self) -> Light:

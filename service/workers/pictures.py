@@ -10,11 +10,11 @@ from gpu.errors import DeviceError
 from gpu.mesh import Mesh
 from gpu.reference import silhouette_mask
 from service.errors import BackendMissingError
-from service.imaging.background import Sky
 from service.imaging.decode import Frame as Image
 from service.imaging.overlay import RGB, draw_left_over, stretch_of, stretched
 from service.imaging.patch import Light, Map, cut, light_of
 from service.imaging.psf import estimate_psf_sigma
+from service.imaging.sky import Sky
 from service.imaging.transfer import linear
 from service.imaging.window import Window
 from service.inference.articulation import Articulation, part_transforms

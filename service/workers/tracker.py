@@ -15,12 +15,13 @@ from gpu.errors import DeviceError, DeviceLostError
 from gpu.kernel_cache import KernelCache
 from gpu.mesh import Mesh, MeshError, assemble
 from service.errors import BackendMissingError, ConfigError, MeshFileError, MissingBlobError, ScorerFailedError
-from service.imaging.background import Background, Sky, derive, known_pixels, learn
+from service.imaging.background import Background, known_pixels, learn
 from service.imaging.decode import Frame as Image
 from service.imaging.features import feature_spec
 from service.imaging.measurement import measure
 from service.imaging.overlay import RGB, draw_overlay, encode_png, for_display
 from service.imaging.own_sky import own_sky
+from service.imaging.sky import Sky, derive
 from service.imaging.split import SplitFrame
 from service.imaging.transfer import linear
 from service.inference.articulation import Articulation, hold

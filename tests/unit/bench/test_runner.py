@@ -10,7 +10,8 @@ from service.bench.folder import SequenceError, find_sequences, listed_symmetrie
 from service.bench.passes import random_case, simulated_case
 from service.bench.runner import Entry, Terms, learned_sky, run_case
 from service.cli.simulate import before_ground
-from service.imaging.background import Background, derive
+from service.imaging.background import Background
+from service.imaging.sky import derive
 from service.sessions.config import effective
 from service.simulate.folder import write_sequence
 from service.simulate.scenario import PRESETS, randomised

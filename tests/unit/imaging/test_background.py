@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from service.imaging.background import FLOOR, KEPT_FRAMES, Background, Sky, derive, known_pixels, learn
+from service.imaging.background import FLOOR, KEPT_FRAMES, Background, known_pixels, learn
 from service.imaging.features import feature_spec
+from service.imaging.sky import Sky, derive
 
 HEIGHT, WIDTH = 60, 80
 
@@ -152,6 +153,40 @@ def test_a_star_in_the_only_frame_does_not_survive_either():
     (frame,) = noisy(20.0, 2.0, 1)
     frame[30:32, 40:42] = 220
     assert np.abs(sky_of([frame]).mean - 20).max() < 8
+
+
+@pytest.mark.parametrize("level", [20.5, 404.5])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_level_between_whole_counts_is_no_noise(level, seed):
+    """The median of such a frame is one whole count or the next."""
+    assert sky_of(noisy(level, 4.0, 3, np.uint16, seed), bits=16).sigma == pytest.approx(4.0, rel=0.06)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_slope_goes_on_to_the_border(count):
+    """It is no noise there, and no light."""
+    across, down = np.meshgrid(np.linspace(-1, 1, 200), np.linspace(-1, 1, 160))
+    level = 400 + 80 * across - 25 * down + 30 * across * down
+    sky = sky_of(noisy(level, 5.0, count, np.uint16), bits=16)
+    assert sky.sigma == pytest.approx(5.0, rel=0.06)
+    off = sky.mean[..., 0] - level
+    assert max(abs(edge.mean()) for edge in (off[0], off[-1], off[:, 0], off[:, -1])) < 0.1 * 5.0
+
+
+def test_a_large_sky_is_told_from_a_part_of_its_pixels():
+    """Level and noise are; what is smooth, and what is hot, is told of every pixel."""
+    across, down = np.meshgrid(np.linspace(-1, 1, 1300, dtype=np.float32), np.linspace(-1, 1, 1030, dtype=np.float32))
+    level = 400 + 60 * across - 25 * down + 30 * across * down
+    frames = noisy(level, 5.0, 4, np.uint16)
+    for k, frame in enumerate(frames):
+        frame[700:703, 200 + 40 * k : 203 + 40 * k] += 300  # a star that passes
+        frame[513, 700] = 900
+    sky = sky_of(frames, bits=16)
+    assert sky.sigma == pytest.approx(5.0, rel=0.01)
+    away = np.abs(sky.mean[..., 0] - level)
+    assert away[513, 700] > 400
+    away[513, 700] = 0
+    assert away.max() < 1.0
 
 
 def test_what_every_frame_shows_is_sky():

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from service.imaging.background import derive, known_pixels, learn
+from service.imaging.background import known_pixels, learn
 from service.imaging.clutter import cluttered_box, features, palette_of, told_box
 from service.imaging.features import feature_spec
+from service.imaging.sky import derive
 
 SIZE, BOX = 160, (50, 40, 60, 70)
 

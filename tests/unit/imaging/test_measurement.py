@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from service.imaging.background import FLOOR, Sky, derive, learn
+from service.imaging.background import FLOOR, learn
 from service.imaging.features import feature_spec
 from service.imaging.measurement import measure
+from service.imaging.sky import Sky, derive
 
 
 def sky_of(frames, *, bits: int = 8, feature: str = "auto") -> Sky:

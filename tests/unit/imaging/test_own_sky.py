@@ -3,28 +3,29 @@
 import numpy as np
 import pytest
 
-from service.imaging.background import derive, learn
+from service.imaging.background import learn
 from service.imaging.features import feature_spec
 from service.imaging.own_sky import own_sky
+from service.imaging.sky import derive
 
 SIDE = 120
 
 
-def sky(bits: int) -> np.ndarray:
-    across, down = np.meshgrid(np.linspace(-1, 1, SIDE), np.linspace(-1, 1, SIDE))
+def sky(bits: int, side: int = SIDE) -> np.ndarray:
+    across, down = np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side))
     level = 30 + 6 * across - 4 * down + 5 * (across**2 + down**2)
     return level * (1 if bits == 8 else 200)
 
 
-def frame(bits: int, channels: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def frame(bits: int, channels: int, seed: int = 0, side: int = SIDE) -> tuple[np.ndarray, np.ndarray]:
     """A body with a soft rim, some stars; and what is truly sky."""
-    x, y = np.meshgrid(np.arange(SIDE), np.arange(SIDE))
+    x, y = np.meshgrid(*2 * [np.arange(side) * SIDE / side])
     away = np.hypot((x - 70) / 1.6, y - 55)
     body = 120 / (1 + np.exp(away - 18)) * (1 if bits == 8 else 200)
-    image = sky(bits)[..., None] * np.linspace(1, 0.8, channels) + body[..., None]
+    image = sky(bits, side)[..., None] * np.linspace(1, 0.8, channels) + body[..., None]
     rng = np.random.default_rng(seed)
     image += rng.normal(0, 2.0 if bits == 8 else 300.0, image.shape)
-    for row, column in rng.integers(0, SIDE, (6, 2)):
+    for row, column in rng.integers(0, side, (6, 2)):
         image[row : row + 2, column : column + 2] += 60 if bits == 8 else 9000
     image = np.clip(np.rint(image), 0, (1 << bits) - 1).astype(np.uint8 if bits == 8 else np.uint16)
     return (image[..., 0] if channels == 1 else image), away < 18
@@ -42,6 +43,13 @@ def test_the_body_is_left_out_and_the_sky_behind_it_is_told(bits, channels):
     noise = 2.0 if bits == 8 else 300.0
     assert np.abs(found.mean - true)[body].max() < 0.75 * noise
     assert found.sigma == pytest.approx(noise, rel=0.1)
+
+
+def test_a_large_frame_is_told_from_a_part_of_its_pixels():
+    image, body = frame(16, 1, side=1000)
+    filled, known = own_sky(image, 16)
+    assert not known[body].any() and known.mean() > 0.4
+    assert np.abs(filled - sky(16, 1000))[body].max() < 0.75 * 300
 
 
 def test_an_exactly_black_sky_is_known():

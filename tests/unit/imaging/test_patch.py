@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from service.imaging.background import Sky
 from service.imaging.features import feature_spec
 from service.imaging.patch import Light, cut, light_of
 from service.imaging.pieces import find_light, pieces_of, wider
+from service.imaging.sky import Sky
 
 SHAPE = (120, 160)
 
@@ -146,6 +146,17 @@ def test_what_may_be_a_star_is_told_apart_where_it_is():
     assert set(np.unique(whole.stars)) == set(np.unique(coarse.stars)) == {0, 1, 2}
     x, y = (int(v) for v in whole.origin)
     assert np.array_equal(whole.stars, marked.stars[y : y + whole.side, x : x + whole.side])
+
+
+@pytest.mark.parametrize(("known_px", "may_be"), [(0.0, False), (9.0, False), (40.0, True)])
+def test_what_is_no_larger_than_a_star_may_be_one_where_the_object_is_known_to_be_larger(known_px, may_be):
+    given = light(star(110, 30, 900) + noise())
+    pieces = pieces_of(given)
+    marked = pieces.stars_of(given, find_light(given, pieces), known_px)
+    assert (marked.stars is not None and marked.stars[30, 110] == 1) == may_be
+    beside = light(with_box(50, 40, 90, 70, 8.0) + star(110, 30, 900) + noise())
+    pieces = pieces_of(beside)
+    assert not pieces.stars_of(beside, find_light(beside, pieces), known_px).stars[40:70, 50:90].any()
 
 
 def test_stars_do_not_lead_from_one_to_the_next_away_from_the_object():

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from gpu.reference import silhouette_mask
-from service.imaging.background import FLOOR, derive, learn
+from service.imaging.background import FLOOR, learn
 from service.imaging.features import feature_spec
 from service.imaging.measurement import measure
+from service.imaging.sky import derive
 from service.inference.articulation import part_transforms
 from service.inference.pose import exp_so3
 from service.inference.state import Poses

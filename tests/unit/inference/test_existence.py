@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from held_mixture import mixture
 from lit_body import QUALITY, SUN, scene, shares
-from test_light_filter import SIGMA, SIZE, Drawn, body, given, step, truth
+from test_light_filter import SIGMA, SIZE, Drawn, advance, body, given, passed, step, truth
 
 from service.inference.filters.weighing import _REFITTED
 from service.inference.model import existence, prior
@@ -19,6 +19,7 @@ from service.inference.numerics.hill import Hill
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import retract
 from service.inference.state import FilterState, Poses
+from service.workers.lit_frame import known_span
 
 FRAMES = 240
 ODDS = np.array([0.5, 0.5 - 1e-9, 1e-9])  # absent, fits, no_fit
@@ -117,3 +118,23 @@ def test_what_a_frame_says_of_another_body_is_not_far_from_what_it_says_with_the
         fit = ascend(hill, truth(0), SUN[None].copy(), steps=0, covariance="none")[0].fit
         anew = hill.log_evidences_under(fit.planes[None], [(existence.scene_unlike(hill), None)])[0, 0]
         assert -_REFITTED < anew - existence.log_unlike_of(hill, fit) < _REFITTED
+
+
+def test_a_star_alone_is_no_target_where_a_larger_body_was_tracked():
+    """With nothing known of the body it may be the body, seen from afar."""
+    image = np.random.default_rng(3).normal(0, SIGMA, (SIZE, SIZE))
+    image += 60.0 * np.exp(-0.5 * np.sum((np.mgrid[:SIZE, :SIZE].T - (78, 70)) ** 2, axis=2) / 1.3**2)
+    state = passed()[2][0]
+    after, estimate = advance(state, Drawn(image, known_px=known_span(state)), 3)
+    assert known_span(state) > 20 and estimate.status == "no_target" and estimate.probabilities[0] > 0.99
+    assert known_span(after) == known_span(state)
+    assert advance(None, Drawn(image, known_px=known_span(None)), 0)[1].status != "no_target"
+
+
+def test_the_discrepancy_that_frames_ask_for_tells_a_body_from_another():
+    told, blurred = (
+        [existence.of_this_body(tau, n) for tau in (0.005, 0.01, 0.02, 0.03, 0.04, 0.08)] for n in (60.0, 15.0)
+    )
+    assert told == sorted(told, reverse=True) and blurred == sorted(blurred, reverse=True)
+    assert told[1] > 0.98 and told[2] > 0.9 and 0.2 < told[3] < 0.8 and told[5] < 0.02
+    assert blurred[0] > 0.98 and blurred[2] < 0.8  # another body's details may be those that are blurred away

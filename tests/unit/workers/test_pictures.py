@@ -7,10 +7,10 @@ import lit_body
 import numpy as np
 import pytest
 
-from service.imaging.background import Sky
 from service.imaging.decode import Frame
 from service.imaging.features import feature_spec
 from service.imaging.overlay import draw_left_over
+from service.imaging.sky import Sky
 from service.inference.params import SessionConfig
 from service.inference.pose import exp_so3, multiply
 from service.workers.base import OverlayJob

@@ -1,0 +1,174 @@
+"""What a worker derives from a background once, and keeps: the sky at every pixel, its noise, and p(D|b)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.imaging.background import FLOOR, KEPT_FRAMES, Background
+from service.imaging.clutter import Box, cluttered_box
+from service.imaging.features import FeatureSpec, feature_spec
+from service.imaging.frame_median import median_of
+from service.imaging.own_sky import filled, some_of, surface_through
+
+_HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
+_SQUARE, _CHANCE = 8, 6.0  # numerical: px that noise may be alike over; standard deviations
+_SAMPLE = 32_768  # numerical: pixels of a frame that tell its level, and noise to half a percent
+_COARSE_PX = 256  # numerical: a side at which a sky is smoothed
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Derived from a background, cached by content."""
+
+    mean: NDArray[np.float32]  # (H, W, C) brightness per pixel
+    covariance: NDArray[np.float64]  # (C, C) of one pixel's noise, as loud over squares as if it were white
+    log_density: NDArray[np.float64]  # (bins,) log p(D|b) of the feature
+    spec: FeatureSpec
+    clutter: Box | None = None  # in which the body was told to lie, where there is more than sky about it
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """(C,) noise of one pixel."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sky:
+    """Mean, noise and p(D|b) of a background.
+
+    The mean is the per-pixel median over frames whose own level has been taken out, lightly smoothed while there
+    are few frames, and a smooth surface through what is known where no frame showed the sky; the noise is the
+    deviation about it without outliers, so stars do not count.
+    """
+    channels = background.shape[2]
+    spec = feature_spec(feature, channels, background.bits, gradient_sigma_px)
+    counts = background.counts
+    density = (1 - FLOOR) * counts / max(1.0, counts.sum()) + FLOOR / spec.n_bins
+    known, some = background.known, _squares(background.known)
+    level = _levels(background.frames[:, *some][:, known[some]].astype(np.float32))[:, None, None]
+    frames = np.subtract(background.frames, level, dtype=np.float32)
+    mean = median_of(frames)
+    if not known.all():  # elsewhere it is the object that was seen
+        mean = filled(mean, known)
+    few = len(frames) < KEPT_FRAMES
+    smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1) if few else mean
+    residual = frames[:, *some] - smooth[some]
+    noise = _noise(residual[:, known[some]])
+    if few:
+        mean = _with_hot(smooth, mean - smooth, frames, noise) if len(frames) > 2 else smooth
+    noise = noise * _alike(residual, known[some])
+    return Sky(
+        np.ascontiguousarray(mean + np.median(level, axis=0), dtype=np.float32),
+        noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0)),  # below half a count quantisation is the noise
+        np.log(density),
+        spec,
+        cluttered_box(background.frames[-1], known),
+    )
+
+
+def _squares(known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the squares that tell level and noise, all over: so many as hold about ``_SAMPLE`` pixels; of
+    a small frame, or where they would miss what is known, all of it.
+    """
+    every = max(1, round(np.sqrt(known.size / _SAMPLE)))
+    rows, columns = (np.arange(size) for size in known.shape)
+    some = [at[(at // _SQUARE % every == 0) & (at < len(at) - len(at) % _SQUARE)] for at in (rows, columns)]
+    if every > 1 and int(known[np.ix_(*some)].sum()) >= min(int(known.sum()), _SAMPLE) / 4:
+        return some[0][:, None], some[1][None]
+    return rows[:, None], columns[None]
+
+
+def _with_hot(
+    smooth: NDArray[np.float32], stands: NDArray[np.float32], frames: NDArray[np.float32], noise: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """(H, W, C) a ``smooth`` sky with the pixels that stand above it in all of (K, H, W, C) ``frames``.
+
+    Where a telescope follows its object stars pass, and are gone when it is there; hot pixels stay.
+    """
+    hot = np.abs(stands) > _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
+    above = (frames[:, hot] - smooth[hot]) * np.sign(stands[hot])
+    hot[hot] = (above > 0.5 * np.abs(stands[hot])).all(axis=0)
+    return np.where(hot, smooth + stands, smooth)
+
+
+def _levels(frames: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(K, M, C) -> (K, C) mean of each frame's pixels without outliers.
+
+    Their median is a whole count: skies of half a count more would differ by a whole one from frame to frame.
+    """
+    middle = np.median(frames, axis=1, keepdims=True)
+    away = frames - middle
+    inside = np.abs(away) <= _widest(away, axis=1)
+    level = middle[:, 0] + np.sum(away, axis=1, where=inside) / np.count_nonzero(inside, axis=1)
+    return np.asarray(level, np.float32)
+
+
+def _widest(away: NDArray[np.float32], axis: int | tuple[int, ...]) -> NDArray[np.float32]:
+    """Four robust deviations: what is further from the middle is an outlier."""
+    robust = 1.4826 * np.median(np.abs(away), axis=axis, keepdims=True)
+    return np.asarray(4 * np.maximum(robust, 0.5), np.float32)
+
+
+def _noise(residual: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(K, M, C) -> (C, C) covariance of what lies within four of the robust deviations.
+
+    The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
+    fifth off at two counts.
+    """
+    inside = np.abs(residual) <= _widest(residual, axis=(0, 1))
+    seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
+    both = inside.reshape(seen.shape).astype(np.float64)
+    return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
+
+
+def _alike(residual: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
+    """Pixels whose noise is one: by how much the variance of squares' means exceeds that of white noise; 1 where chance
+    may be the reason.
+
+    Noise of enlarged, stacked or filtered images is alike in neighbours. As light is as smooth there, white noise that
+    is as loud over a square says what such an image can tell. Differences of frames have no pattern of the sensor's.
+    """
+    changes = np.diff(residual, axis=0) if len(residual) > 1 else residual
+    n, height, width, channels = changes.shape
+    rows, columns = height // _SQUARE, width // _SQUARE
+    shape = (n, rows, _SQUARE, columns, _SQUARE, channels)
+    squares = changes[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).mean(axis=(2, 4))
+    whole = known[: rows * _SQUARE, : columns * _SQUARE].reshape(shape[1:5]).all(axis=(1, 3))
+    if not whole.any():
+        return 1.0
+    loud, white = np.trace(_noise(_SQUARE * squares[:, whole])), np.trace(_noise(changes[:, known]))
+    chance = _CHANCE * np.sqrt(2 / (n * np.count_nonzero(whole)))
+    return float(loud / white) if loud > (1 + chance) * white > 0 else 1.0
+
+
+def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Low-pass of one channel in which stars do not leak: outliers are replaced by the coarse level around them.
+
+    What slopes and bends across the whole image is left as it is: near a border a low pass would bend it. The coarse
+    level is an average without the outliers, which are known only once there is a coarse level: three rounds are
+    enough.
+    """
+    height, width = mean.shape
+    sigma, coarser = max(2.0, min(mean.shape) / 40), max(1, min(mean.shape) // _COARSE_PX)
+    size = width // coarser, height // coarser
+
+    def low(image: NDArray[np.generic], share: float = 1.0) -> NDArray[np.float32]:
+        """Smoothed, at the size at which that is quick."""
+        small = cv2.resize(np.asarray(image, np.float32), size, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.GaussianBlur(small, (0, 0), share * sigma / coarser), np.float32)
+
+    def whole(small: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+    everywhere = np.ones(mean.shape, dtype=np.bool_)
+    surface, chosen = surface_through(mean, everywhere), some_of(everywhere, _SAMPLE)
+    left, sky = mean - surface, everywhere
+    coarse = left
+    for _ in range(3):
+        coarse = whole(low(left * sky) / (low(sky) + 1e-3))  # in the midst of a wide outlier: the surface
+        deviation = np.abs(left - coarse)
+        sky = deviation <= 4 * 1.4826 * np.median(deviation.ravel()[chosen]) + 1e-6
+    return surface + whole(low(np.where(sky, left, coarse), 0.5))

@@ -1,0 +1,48 @@
+"""What ``skypose bench sky`` measures, and passes on a larger canvas."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.bench.brightness import pixels
+from service.bench.canvas import framed, on_canvas
+from service.bench.folder import SequenceError
+from service.bench.sky_bench import bench_sky, sky_document, sky_table
+from service.simulate.folder import encode_png
+
+
+@pytest.mark.parametrize("frames", [0, 3])
+def test_a_sky_is_told_at_every_size(frames):
+    rows = bench_sky((200, 900), (frames,), 1)
+    assert [(row.side_px, row.frames) for row in rows] == [(200, frames), (900, frames)]
+    assert all(row.learn_ms > 0 and row.derive_ms > 0 for row in rows)
+    assert max(row.level_error for row in rows) < 0.6
+    assert max(abs(row.noise_error) for row in rows) < 0.03
+    document = sky_document({"cpu": "x"}, rows)
+    assert document["rows"][0]["side_px"] == 200
+    assert sky_table(rows).row_count == 2
+
+
+@pytest.mark.parametrize(("dtype", "shape"), [(np.uint8, (40, 60)), (np.uint16, (40, 60)), (np.uint8, (40, 60, 3))])
+def test_sky_and_noise_of_an_image_go_on_about_it(dtype, shape):
+    rng = np.random.default_rng(0)
+    image = np.rint(rng.normal(60, 4, shape)).astype(dtype)
+    image[15:25, 20:40] = 200
+    whole = pixels(framed(encode_png(image), 300, (1, 0)))
+    assert whole.dtype == dtype and whole.shape == (300, 300, *shape[2:])
+    np.testing.assert_array_equal(whole[130:170, 120:180], image)
+    assert whole[:100].mean() == pytest.approx(60, abs=1.5) and whole[:100].std() == pytest.approx(4, rel=0.2)
+
+
+def test_a_pass_moves_with_its_frames(case_of, satellite, truth):
+    empty = encode_png(np.full((64, 64), 9, np.uint8))
+    case = replace(case_of(satellite), backgrounds=lambda: [empty], frames=lambda: iter([(empty, truth)]))
+    wide = on_canvas(replace(case, box=(10.0, 12.0, 20.0, 30.0)), 400)
+    (body, moved), (again, _) = next(wide.frames()), next(wide.frames())
+    assert wide.size == (400, 400) and pixels(body).shape[:2] == (400, 400) and again == body
+    np.testing.assert_allclose(moved.position - truth.position, 168)
+    assert wide.box == (178, 180, 20, 30)
+    assert [pixels(one).shape for one in wide.backgrounds()] == [(400, 400)]
+    with pytest.raises(SequenceError, match="larger than a canvas of 8 px"):
+        on_canvas(case, 8)
