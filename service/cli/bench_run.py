@@ -48,6 +48,17 @@ class Selection:
     materials: str | None = None
     untied_deg: float | None = None  # see ``SequenceFolder``
 
+    def __post_init__(self) -> None:
+        """Raises ``typer.BadParameter`` where what is of a folder's passes is told of drawn ones."""
+        told = {
+            "a folder": self.folder,
+            "--case": self.names,
+            "--meshes": self.meshes_root,
+            "--untied": self.untied_deg,
+        }
+        if self.passes and (of_folders := [name for name, value in told.items() if value not in (None, ())]):
+            raise typer.BadParameter(f"{' and '.join(of_folders)} cannot be told with --passes, which are drawn")
+
     @property
     def title(self) -> str:
         """What is measured, in a line."""

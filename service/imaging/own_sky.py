@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 _BORDER_SHARE = 12  # numerical: of the shorter side: the ring from which the first guess comes
 _ROUNDS = 4  # numerical: of outliers found and left out
-_SAMPLE = 16_384  # numerical: pixels that tell a surface, and its noise to half a percent
+SURFACE_SAMPLE = 16_384  # numerical: pixels that tell a surface, and its noise to half a percent
 _OUTLIER_SIGMAS = 4.0  # numerical: of one pixel
 _SMOOTH_PX = 1.5  # prior: light is at least so smooth
 _LIGHT_SIGMAS = 5.0  # prior: after that smoothing: one pixel in a million of empty sky
@@ -90,7 +90,7 @@ def _surface(channel: Map, where: NDArray[np.bool_]) -> tuple[Map, float]:
     """(H, W) level, slopes and bends through the chosen pixels, and the noise about them."""
     height, width = channel.shape
     across, down = (np.linspace(-1, 1, size, dtype=np.float32) for size in (width, height))
-    chosen = some_of(where, _SAMPLE)
+    chosen = some_of(where, SURFACE_SAMPLE)
     rows, columns = np.divmod(chosen, width)
     x, y = across[columns], down[rows]
     level, sigma = fitted(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y]), channel.ravel()[chosen])
@@ -107,7 +107,7 @@ def _enough(known: NDArray[np.bool_], ring: NDArray[np.bool_], above: Map, sigma
 def _sky(channel: Map, known: NDArray[np.bool_]) -> tuple[Map, float]:
     """The whole smooth surface, and the noise about it."""
     surface, sigma = _surface(channel, known)
-    chosen = some_of(known, _SAMPLE)
+    chosen = some_of(known, SURFACE_SAMPLE)
     for _ in range(2):
         left = channel - surface
         sky = (known & (np.abs(left) <= _OUTLIER_SIGMAS * sigma)).astype(np.float32)

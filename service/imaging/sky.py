@@ -12,10 +12,11 @@ from service.imaging.background import FLOOR, KEPT_FRAMES, Background
 from service.imaging.clutter import Box, cluttered_box
 from service.imaging.features import FeatureSpec, feature_spec
 from service.imaging.frame_median import median_of
-from service.imaging.own_sky import filled, some_of, surface_through
+from service.imaging.own_sky import SURFACE_SAMPLE, filled, fitted, some_of, surface_through
 
 _HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
 _SQUARE, _CHANCE = 8, 6.0  # numerical: px that noise may be alike over; standard deviations
+_PLANE = 3  # exact: numbers of a frame's own plane, which its squares no longer have
 _SAMPLE = 32_768  # numerical: pixels of a frame that tell its level, and noise to half a percent
 _COARSE_PX = 256  # numerical: a side at which a sky is smoothed
 
@@ -39,7 +40,7 @@ class Sky:
 def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sky:
     """Mean, noise and p(D|b) of a background.
 
-    The mean is the per-pixel median over frames whose own level has been taken out, lightly smoothed while there
+    The mean is the per-pixel median over frames whose own plane has been taken out, lightly smoothed while there
     are few frames, and a smooth surface through what is known where no frame showed the sky; the noise is the
     deviation about it without outliers, so stars do not count.
     """
@@ -48,8 +49,8 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     counts = background.counts
     density = (1 - FLOOR) * counts / max(1.0, counts.sum()) + FLOOR / spec.n_bins
     known, some = background.known, _squares(background.known)
-    level = _levels(background.frames[:, *some][:, known[some]].astype(np.float32))[:, None, None]
-    frames = np.subtract(background.frames, level, dtype=np.float32)
+    planes = _planes(background.frames, known, some)
+    frames = np.subtract(background.frames, planes, dtype=np.float32)
     mean = median_of(frames)
     if not known.all():  # elsewhere it is the object that was seen
         mean = filled(mean, known)
@@ -61,7 +62,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         mean = _with_hot(smooth, mean - smooth, frames, noise) if len(frames) > 2 else smooth
     noise = noise * _alike(residual, known[some])
     return Sky(
-        np.ascontiguousarray(mean + np.median(level, axis=0), dtype=np.float32),
+        np.ascontiguousarray(mean + median_of(planes), dtype=np.float32),
         noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0)),  # below half a count quantisation is the noise
         np.log(density),
         spec,
@@ -94,22 +95,22 @@ def _with_hot(
     return np.where(hot, smooth + stands, smooth)
 
 
-def _levels(frames: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(K, M, C) -> (K, C) mean of each frame's pixels without outliers.
-
-    Their median is a whole count: skies of half a count more would differ by a whole one from frame to frame.
+def _planes(
+    frames: NDArray[np.generic], known: NDArray[np.bool_], some: tuple[NDArray[np.intp], NDArray[np.intp]]
+) -> NDArray[np.float32]:
+    """(K, H, W, C) level and slopes of each frame's own sky, from what is ``known`` (H, W) of ``some`` of its pixels:
+    dusk and moonlight change them from frame to frame.
     """
-    middle = np.median(frames, axis=1, keepdims=True)
-    away = frames - middle
-    inside = np.abs(away) <= _widest(away, axis=1)
-    level = middle[:, 0] + np.sum(away, axis=1, where=inside) / np.count_nonzero(inside, axis=1)
-    return np.asarray(level, np.float32)
-
-
-def _widest(away: NDArray[np.float32], axis: int | tuple[int, ...]) -> NDArray[np.float32]:
-    """Four robust deviations: what is further from the middle is an outlier."""
-    robust = 1.4826 * np.median(np.abs(away), axis=axis, keepdims=True)
-    return np.asarray(4 * np.maximum(robust, 0.5), np.float32)
+    height, width = known.shape
+    across, down = (np.linspace(-1, 1, size, dtype=np.float32) for size in (width, height))
+    chosen = known[some]
+    x, y = (np.broadcast_to(one, chosen.shape)[chosen] for one in (across[some[1]], down[some[0]]))
+    each = slice(None, None, max(1, len(x) // SURFACE_SAMPLE) | 1)  # odd, as in ``some_of``
+    terms = np.stack([np.ones_like(x), x, y])[:, each]
+    seen = frames[:, *some][:, chosen][:, each].astype(np.float32)
+    found = np.array([[fitted(terms, values)[0] for values in frame.T] for frame in seen], np.float32)
+    level, right, below = np.moveaxis(found, 2, 0)[:, :, None, None]
+    return np.asarray((level + right * across[:, None]) + below * down[:, None, None], np.float32)
 
 
 def _noise(residual: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -118,7 +119,8 @@ def _noise(residual: NDArray[np.float32]) -> NDArray[np.float64]:
     The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
     fifth off at two counts.
     """
-    inside = np.abs(residual) <= _widest(residual, axis=(0, 1))
+    robust = 1.4826 * np.median(np.abs(residual), axis=(0, 1))
+    inside = np.abs(residual) <= 4 * np.maximum(robust, 0.5)
     seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
     both = inside.reshape(seen.shape).astype(np.float64)
     return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
@@ -137,10 +139,12 @@ def _alike(residual: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
     shape = (n, rows, _SQUARE, columns, _SQUARE, channels)
     squares = changes[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).mean(axis=(2, 4))
     whole = known[: rows * _SQUARE, : columns * _SQUARE].reshape(shape[1:5]).all(axis=(1, 3))
-    if not whole.any():
+    count = int(np.count_nonzero(whole))
+    if count <= _PLANE:
         return 1.0
     loud, white = np.trace(_noise(_SQUARE * squares[:, whole])), np.trace(_noise(changes[:, known]))
-    chance = _CHANCE * np.sqrt(2 / (n * np.count_nonzero(whole)))
+    loud *= count / (count - _PLANE)
+    chance = _CHANCE * np.sqrt(2 / (n * count))
     return float(loud / white) if loud > (1 + chance) * white > 0 else 1.0
 
 

@@ -68,6 +68,7 @@ def test_variants_stand_beside_the_default(tmp_path):
     [
         (["track"], "give a folder of sequences, or --passes"),
         (["track", "nowhere"], "holds no sequence"),
+        (["track", "nowhere", "--passes", "1", "--untied", "9"], "a folder and --untied cannot be told with --passes"),
         (["track", "--passes", "1", "--preset", "best"], "preset"),
         (["track", "--passes", "1", "--set", "filter.speed=3"], "speed"),
         (["track", "--passes", "1", "--set", "particles"], "SECTION.NAME=VALUE"),

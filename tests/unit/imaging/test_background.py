@@ -211,6 +211,16 @@ def test_frames_may_differ_in_level():
     assert np.median(sky.mean) == pytest.approx(40, abs=0.6)
 
 
+@pytest.mark.parametrize("count", [2, 5])
+def test_a_sky_that_grows_light_from_one_side_is_no_noise(count):
+    """At dusk: each frame's own plane is taken out, as it is of the frames that show the body."""
+    across, down = np.meshgrid(np.linspace(-1, 1, 160), np.linspace(-1, 1, 120))
+    dusk = [400 + 30 * across + 4 * (k - count / 2) * (1 + across + 0.5 * down) for k in range(count)]
+    sky = sky_of([noisy(level, 5.0, 1, np.uint16, k)[0] for k, level in enumerate(dusk)], bits=16)
+    assert sky.sigma == pytest.approx(5.0, rel=0.06)
+    assert np.abs(sky.mean[..., 0] - np.median(dusk, axis=0)).mean() < 0.3 * 5.0
+
+
 @pytest.mark.parametrize("sigma", [0.7, 1.0, 1.5, 2.0, 3.0, 6.0])
 @pytest.mark.parametrize(("count", "tolerance"), [(1, 0.15), (10, 0.05), (20, 0.06)])
 def test_the_noise_is_measured_between_whole_counts_too(sigma, count, tolerance):
