@@ -20,7 +20,7 @@ from service.imaging.sky import derive
 
 _BITS, _FEATURE, _GRADIENT_PX = 16, "intensity", 1.0
 _SIGMA, _LIGHT, _RADIUS_PX = 5.0, 900.0, 50.0  # counts of noise, counts of a body, its radius
-_RIM = 0.1  # of a side, where a smoothed sky bends
+_RIM = 0.1  # of a side, where a smooth sky is told from one side alone
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     residual = frames[:, *some] - smooth[some]
     noise = _noise(residual[:, known[some]])
     if few:
-        mean = _with_hot(smooth, mean - smooth, frames, noise) if len(frames) > 2 else smooth
+        mean = _with_hot(smooth, mean, frames, noise) if len(frames) > 2 else smooth
     noise = noise * _alike(residual, known[some])
     return Sky(
         np.ascontiguousarray(mean + median_of(planes), dtype=np.float32),
@@ -83,16 +83,17 @@ def _squares(known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.int
 
 
 def _with_hot(
-    smooth: NDArray[np.float32], stands: NDArray[np.float32], frames: NDArray[np.float32], noise: NDArray[np.float64]
+    smooth: NDArray[np.float32], mean: NDArray[np.float32], frames: NDArray[np.float32], noise: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """(H, W, C) a ``smooth`` sky with the pixels that stand above it in all of (K, H, W, C) ``frames``.
+    """(H, W, C) a ``smooth`` sky, but for pixels whose ``mean`` stands out of it in all of (K, H, W, C) ``frames``.
 
     Where a telescope follows its object stars pass, and are gone when it is there; hot pixels stay.
     """
+    stands = mean - smooth
     hot = np.abs(stands) > _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
     above = (frames[:, hot] - smooth[hot]) * np.sign(stands[hot])
     hot[hot] = (above > 0.5 * np.abs(stands[hot])).all(axis=0)
-    return np.where(hot, smooth + stands, smooth)
+    return np.where(hot, mean, smooth)
 
 
 def _planes(
@@ -103,11 +104,10 @@ def _planes(
     """
     height, width = known.shape
     across, down = (np.linspace(-1, 1, size, dtype=np.float32) for size in (width, height))
-    chosen = known[some]
-    x, y = (np.broadcast_to(one, chosen.shape)[chosen] for one in (across[some[1]], down[some[0]]))
-    each = slice(None, None, max(1, len(x) // SURFACE_SAMPLE) | 1)  # odd, as in ``some_of``
-    terms = np.stack([np.ones_like(x), x, y])[:, each]
-    seen = frames[:, *some][:, chosen][:, each].astype(np.float32)
+    chosen = some_of(known[some], SURFACE_SAMPLE)
+    x, y = (np.broadcast_to(one, known[some].shape).ravel()[chosen] for one in (across[some[1]], down[some[0]]))
+    terms = np.stack([np.ones_like(x), x, y])
+    seen = frames[:, *some].reshape(len(frames), -1, frames.shape[3])[:, chosen].astype(np.float32)
     found = np.array([[fitted(terms, values)[0] for values in frame.T] for frame in seen], np.float32)
     level, right, below = np.moveaxis(found, 2, 0)[:, :, None, None]
     return np.asarray((level + right * across[:, None]) + below * down[:, None, None], np.float32)
