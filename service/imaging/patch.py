@@ -21,6 +21,8 @@ _LEVEL_ROUNDS, _LEVEL_SIGMAS = 3, 3.0  # numerical
 _LEAST_BRIGHT_PX = 64  # numerical: from which light's own noise is told
 _MARGIN = 0.3  # numerical: sky on each side of the light, as a share of its longer side
 _LEAST_MARGIN_PX = 6  # numerical
+LANES = 16  # exact: a side is a multiple, rows of whole lanes
+OWN = 64  # numerical: above all numbers of stars
 _COARSER = 1.2  # numerical: a patch coarser by less saves nothing
 
 
@@ -34,7 +36,9 @@ class Light:
     sky: float  # counts of the empty sky, with what the sensor adds to it
     censored: NDArray[np.bool_]  # at the sensor's upper end: at least so much
     origin: tuple[int, int] = (0, 0)  # its first pixel in the frame, where it is part of one
-    stars: NDArray[np.uint8] | None = None  # numbers of its pieces that may be stars, 0 elsewhere
+    stars: NDArray[np.uint8] | None = None
+    """Numbers of its pieces that may be stars, 0 elsewhere; ``OWN`` more of those that the object has, if it is there.
+    """
 
     def covers(self, square: Square) -> bool:
         """Whether a square lies within it."""
@@ -62,6 +66,7 @@ class Patch:
     sky: float  # counts of a frame pixel
     censored: NDArray[np.bool_]  # (S, S)
     stars: NDArray[np.uint8]  # (S, S) numbers of pieces of light that may be stars, 0 elsewhere
+    stars_alone: NDArray[np.uint8] | None  # (S, S) the same where the object is absent; None: no more
     origin: tuple[float, float]  # of its first corner, frame px
     binning: float  # frame px a patch px
 
@@ -149,7 +154,7 @@ def square_around(centre: tuple[float, float], span_px: float, wanted: float) ->
     binning = span_px / wanted if span_px > _COARSER * wanted else 1.0
     margin = max(_MARGIN * span_px, _LEAST_MARGIN_PX * binning)
     side = int(np.ceil((span_px + 2 * margin) / binning))
-    side += -side % 16  # rows of whole lanes
+    side += -side % LANES
     across = round(side * binning)
     x, y = (int(np.floor(c - 0.5 * across)) for c in centre)
     return Square((x, y), across, side)
@@ -165,14 +170,16 @@ def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float
     index = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
     image = np.where(inside, light.image[index], 0.0).astype(np.float32)
     censored = (light.censored[index] | ~inside).astype(np.float32)
-    stars = np.zeros((1, 1), np.uint8) if light.stars is None else np.where(inside, light.stars[index], 0)
+    marked = np.zeros((1, 1), np.uint8) if light.stars is None else np.where(inside, light.stars[index], 0)
+    stars = np.asarray(cv2.resize(np.asarray(marked, np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8)
     return Patch(
         image=np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32),
         sigma=light.sigma / binning,
         photon=light.photon / binning**2,
         sky=light.sky,
         censored=cv2.resize(censored, size, interpolation=cv2.INTER_AREA) > 0,
-        stars=np.asarray(cv2.resize(np.asarray(stars, np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8),
+        stars=np.where(stars < OWN, stars, np.uint8(0)),
+        stars_alone=stars % np.uint8(OWN) if stars.max() > OWN else None,
         origin=(float(square.first[0]), float(square.first[1])),
         binning=binning,
     )

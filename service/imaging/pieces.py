@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.patch import Light
+from service.imaging.patch import OWN, Light
 
 DETECTION_SIGMAS = 5.0  # prior: one pixel in a million of empty sky
 """Light counts as detected from here on, after a smoothing by one pixel: one false pixel in a few million."""
@@ -62,20 +62,18 @@ class Pieces:
         """The light with what may be stars told apart: all that is as small and lies outside of the object's box.
 
         ``known_px``: what the object's light spanned until now. Where that is more than a star and nothing larger than
-        one shows, the object's box may be a star's, too.
+        one shows, what is in the box may be a star's too, if the object is absent.
         """
-        if self.extent.max(initial=0) <= _STAR_PX < known_px:
-            box = None
-        x, y = light.origin
-        nothing = (np.inf, np.inf, -np.inf, -np.inf)
-        within = nothing if box is None else (box.left - x, box.top - y, box.right - x, box.bottom - y)
-        outside = _beyond(self.boxes, np.array(within))
+        if box is None:
+            return light
+        lonely, (x, y) = self.extent.max(initial=0) <= _STAR_PX < known_px, light.origin
+        outside = _beyond(self.boxes, np.array((box.left - x, box.top - y, box.right - x, box.bottom - y)))
         order = np.argsort(-self.total)
-        order = order[outside[order] & (self.extent[order] <= _STAR_PX)][:_MOST_STARS]
+        order = order[(outside[order] | lonely) & (self.extent[order] <= _STAR_PX)][:_MOST_STARS]
         if not len(order):
             return light
         named = np.zeros(int(self.labels.max()) + 1, np.uint8)
-        named[self.numbers[order]] = 1 + np.arange(len(order))
+        named[self.numbers[order]] = 1 + np.arange(len(order)) + np.where(outside[order], 0, OWN)
         return replace(light, stars=named[self.labels])
 
 

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.patch import Light, Patch, cut, light_of, square_around
+from service.imaging.patch import LANES, Light, Patch, cut, light_of, square_around
 from service.imaging.pieces import Box, Pieces, find_light, pieces_of, wider
 from service.imaging.psf import estimate_psf_sigma
 from service.imaging.sky import Sky
@@ -44,8 +44,11 @@ def region_of(state: FilterState | None, time_s: float, radius: float, shape: tu
 
 
 def known_span(state: FilterState | None) -> float:
-    """Frame px that the object's light spanned until now; 0: it has not been seen."""
-    return 0.0 if state is None or state.mixture is None else state.mixture.span_px
+    """Frame px that the object's light spanned until now, at the least; 0: it has not been seen.
+
+    A patch's side is a multiple of 16 px, so what it was cut for may have been that much smaller.
+    """
+    return 0.0 if state is None or state.mixture is None else max(state.mixture.span_px - LANES, 0.0)
 
 
 class LightOfFrame:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.special import betaln
 
@@ -27,7 +29,9 @@ def expected(before: Array | None, dt_s: float) -> Array:
 def log_absent(hill: Hill) -> float:
     """Log evidence of the sky alone."""
     side, planes = hill.view.side, len(hill.terms.offset) + EVEN_PLANES
-    return float(hill.log_evidences(np.zeros((1, planes, side, side), np.float32))[0])
+    nothing, terms = np.zeros((1, planes, side, side), np.float32), replace(hill.terms, stars=hill.scene.stars_alone)
+    found = hill.drawing.light.evidence(nothing, hill.drawing.n_groups, terms, hill.rounds)
+    return float(found.log_evidence[0])
 
 
 def scene_unlike(hill: Hill) -> Scene:

@@ -36,6 +36,7 @@ class Scene:
     grain: float = 1.0  # px in which lengths of the discrepancy are told: a patch may be coarser where all is blurred
     light: prior.LightPrior = field(default_factory=prior.LightPrior)
     starry: NDArray[np.uint8] | None = None  # (S, S) numbers of light that may be a star's, 0 elsewhere
+    starry_alone: NDArray[np.uint8] | None = None  # (S, S) the same where the object is absent; None: no more
     seen_photon: float | None = None  # variance per count, as the frame's finest checkerboard has it
 
     @property
@@ -79,9 +80,17 @@ class Scene:
     @cached_property
     def stars(self) -> NDArray[np.uint8]:
         """(S, S) the number of what may be a star's light, after the low pass; 0 elsewhere."""
+        return self._passed(self.starry)
+
+    @cached_property
+    def stars_alone(self) -> NDArray[np.uint8]:
+        """(S, S) the same where the object is absent."""
+        return self.stars if self.starry_alone is None else self._passed(self.starry_alone)
+
+    def _passed(self, starry: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
         out = np.zeros(self.image.shape, np.uint8)
-        for number in [] if self.starry is None else np.unique(self.starry[self.starry > 0])[::-1]:
-            alone = (self.starry == number).astype(np.float32)
+        for number in [] if starry is None else np.unique(starry[starry > 0])[::-1]:
+            alone = (starry == number).astype(np.float32)
             out[spread(alone[None], PointSpread(0.0), self.smoothing)[0] > _FULL_SHARE] = number
         return out
 

@@ -52,6 +52,11 @@ class PatchLike(Protocol):
         ...
 
     @property
+    def stars_alone(self) -> NDArray[np.uint8] | None:
+        """(S, S) the same where the object is absent: what would be its light may be stars, too; None: no more."""
+        ...
+
+    @property
     def origin(self) -> tuple[float, float]:
         """First corner, frame px."""
         ...
@@ -181,6 +186,7 @@ def stage_hill(
         max(grain * stage.low_pass, prior.LOW_PASS_SHARE * spread.width),
         grain=grain,
         starry=patch.stars,
+        starry_alone=patch.stars_alone,
         seen_photon=patch.photon,
     )
     view = View(patch.origin, patch.binning, len(patch.image), sight.lens)

@@ -150,10 +150,15 @@ def test_what_may_be_a_star_is_told_apart_where_it_is():
 
 @pytest.mark.parametrize(("known_px", "may_be"), [(0.0, False), (9.0, False), (40.0, True)])
 def test_what_is_no_larger_than_a_star_may_be_one_where_the_object_is_known_to_be_larger(known_px, may_be):
-    given = light(star(110, 30, 900) + noise())
+    """If the object is absent: where it is there, the light is its own."""
+    given = light(star(110, 30, 900) + star(20, 90, 300) + noise())
     pieces = pieces_of(given)
-    marked = pieces.stars_of(given, find_light(given, pieces), known_px)
-    assert (marked.stars is not None and marked.stars[30, 110] == 1) == may_be
+    marked = cut(pieces.stars_of(given, find_light(given, pieces), known_px), (70.0, 60.0), 150.0, 256.0)
+    x, y = (int(v) for v in marked.origin)
+    assert marked.stars[30 - y, 110 - x] == 0 and marked.stars[90 - y, 20 - x] == 1 + may_be
+    assert (marked.stars_alone is not None) == may_be
+    if may_be:
+        assert marked.stars_alone[30 - y, 110 - x] == 1 and marked.stars_alone[90 - y, 20 - x] == 2
     beside = light(with_box(50, 40, 90, 70, 8.0) + star(110, 30, 900) + noise())
     pieces = pieces_of(beside)
     assert not pieces.stars_of(beside, find_light(beside, pieces), known_px).stars[40:70, 50:90].any()

@@ -131,6 +131,16 @@ def test_a_star_alone_is_no_target_where_a_larger_body_was_tracked():
     assert advance(None, Drawn(image, known_px=known_span(None)), 0)[1].status != "no_target"
 
 
+def test_a_body_no_larger_than_a_star_is_followed_however_large_the_patch_it_is_cut_for():
+    """The least patch is of 32 px: that says nothing of the body's size, nor is its light a star's."""
+    state = None
+    for k in range(4):
+        spot = replace(truth(k), log_scale=truth(k).log_scale - np.log(7.0))
+        image = picture(spot, 900.0) + np.random.default_rng(40 + k).normal(0, SIGMA, (SIZE, SIZE))
+        state, estimate = advance(state, Drawn(image, known_px=known_span(state)), k)
+        assert estimate.probabilities[0] < 0.01 and known_span(state) < 11, k
+
+
 def test_the_discrepancy_that_frames_ask_for_tells_a_body_from_another():
     told, blurred = (
         [existence.of_this_body(tau, n) for tau in (0.005, 0.01, 0.02, 0.03, 0.04, 0.08)] for n in (60.0, 15.0)
