@@ -1,4 +1,7 @@
-"""Point spread, discrepancy and photon transfer of a frame: found at its best poses, then held (docs/model.md, 3)."""
+"""What all poses of a frame share: point spread, discrepancy, photon transfer, hidden sky (docs/model.md, 3).
+
+Found at its best poses, then held.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,9 @@ _LOGS = (*np.linspace(-1.4, 1.4, 13), 1.75, 2.1, 2.45, 2.8)
 _DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in _LOGS)
 _PHOTON_STEP = 1.41  # numerical: half a standard deviation of its log
 _PHOTONS = tuple(float(_PHOTON_STEP**k) for k in range(-6, 3))  # numerical: grid, of what the frame's checkerboard has
+_HIDDEN = (0.0, 0.25, 0.5, 0.75, 1.0)  # numerical: grid, and by what steps it is refined
+_HIDDEN_STEPS = (1 / 8, 1 / 16, 1 / 32)
+_FIVE = 5  # exact: point spread's width and wings, discrepancy, photons, hidden sky
 _LOOKS = 24  # numerical: grids are searched from where one stands: no more than this
 
 
@@ -29,6 +35,7 @@ class Nuisance:
     wings: float = 0.0  # w
     discrepancy: float = prior.DISCREPANCY
     photon: float | None = None  # variance per count of light; None: as each frame's finest checkerboard has it
+    hides: float | None = None  # share of the sky's light that the body hides; None: not looked for yet
 
     def point_spread(self, binning: float) -> PointSpread:
         """On a patch of squares of so many px."""
@@ -101,16 +108,40 @@ def best_photon(at: Looked, start: Nuisance) -> Nuisance:
     return replace(start, photon=seen * _PHOTONS[int(np.argmax(values))] * at.hill.view.binning**2)
 
 
+def best_hidden(at: Looked, start: Nuisance) -> Nuisance:
+    """The share of the sky's light that the body hides under which a few poses explain the frame best.
+
+    Of each pose alone it is all but free: more light that hides more of the sky is the same image, but has more noise
+    and more discrepancy, so poses would be told apart by where theirs happens to stand. A sky that is less than the
+    noise of a pixel hides nothing that is felt.
+    """
+    if at.hill.scene.hidden < at.hill.scene.sigma:
+        return start
+
+    def values(shares: list[float]) -> dict[float, float]:
+        found = at.log_evidences([at.hill.scene.under(hides=share) for share in shares]).max(axis=1)
+        return {share: float(value) + _log_prior_of_hidden(share) for share, value in zip(shares, found, strict=True)}
+
+    seen = values([*_HIDDEN] if start.hides is None else [start.hides])
+    for step in _HIDDEN_STEPS:
+        here = max(seen, key=lambda share: seen[share])
+        seen |= values([share for share in (here - step, here + step) if 0 <= share <= 1 and share not in seen])
+    return replace(start, hides=max(seen, key=lambda share: seen[share]))
+
+
 def neighbour(now: Nuisance, turn: int) -> Nuisance:
-    """One of the four a step further on its grid: the air changes within a pass. ``turn`` counts frames."""
-    if turn % 4 == 3 and now.photon is not None:
-        return replace(now, photon=now.photon * (_PHOTON_STEP if turn % 8 == 3 else 1 / _PHOTON_STEP))
-    if turn % 4 == 2:
-        return replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, turn // 4))
+    """One of the five a step further on its grid: the air changes within a pass. ``turn`` counts frames."""
+    which, there = turn % _FIVE, turn // _FIVE
+    if which == 4 and now.hides is not None:
+        return replace(now, hides=float(np.clip(now.hides + (1 if there % 2 else -1) * _HIDDEN_STEPS[-1], 0.0, 1.0)))
+    if which == 3 and now.photon is not None:
+        return replace(now, photon=now.photon * (1 / _PHOTON_STEP if there % 2 else _PHOTON_STEP))
+    if which == 2:
+        return replace(now, discrepancy=_neighbour(_DISCREPANCIES, now.discrepancy, there))
     spread = now.point_spread(1)
-    if turn % 4 == 1:
-        return now.spread_by(spread.width, _neighbour(_SHARES, spread.share, turn // 4))
-    return now.spread_by(_neighbour(_WIDTHS, spread.width, turn // 4), spread.share)
+    if which == 1:
+        return now.spread_by(spread.width, _neighbour(_SHARES, spread.share, there))
+    return now.spread_by(_neighbour(_WIDTHS, spread.width, there), spread.share)
 
 
 def lets_through(hill: Hill, nuisance: Nuisance) -> bool:
@@ -119,16 +150,17 @@ def lets_through(hill: Hill, nuisance: Nuisance) -> bool:
 
 
 def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:
-    """The hill's frame under another point spread and discrepancy."""
+    """The hill's frame under another nuisance."""
     spread = nuisance.point_spread(hill.view.binning)
     photon = nuisance.photon_on(hill.view.binning)
-    return hill.scene.under(point_spread=spread, discrepancy=nuisance.discrepancy, photon=photon)
+    return hill.scene.under(point_spread=spread, discrepancy=nuisance.discrepancy, photon=photon, hides=nuisance.hides)
 
 
 def log_prior(nuisance: Nuisance, hill: Hill) -> float:
-    """Of all four in a frame, but for a constant."""
+    """Of all five in a frame, but for a constant."""
     deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
     out = _log_prior(nuisance.core, nuisance.wings) - 0.5 * deviation**2
+    out += 0.0 if nuisance.hides is None else _log_prior_of_hidden(nuisance.hides)
     photon = nuisance.photon_on(hill.view.binning)
     if photon is None or hill.scene.seen_photon is None:
         return out
@@ -139,6 +171,10 @@ def _neighbour(grid: tuple[float, ...], now: float, turn: int) -> float:
     """The next value of a grid, up or down by turns."""
     k = int(np.argmin(np.abs(np.array(grid) - now))) + (1 if turn % 2 else -1)
     return grid[min(max(k, 0), len(grid) - 1)]
+
+
+def _log_prior_of_hidden(share: float) -> float:
+    return -0.5 * ((share - prior.HIDDEN_MEAN) / prior.HIDDEN_SIGMA) ** 2
 
 
 def _log_prior_of_photon(share: float) -> float:

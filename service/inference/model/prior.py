@@ -11,6 +11,7 @@ EVEN_TILT_SIGMA = 0.02  # by each part of the normal, share of the frame's brigh
 GLOSS_SHARE, GLOSS_LOG_SIGMA = 0.15, 1.3  # of a group's gloss, share of the gain
 GLOSS_LOBES = (20.0,)  # exponent of (n . h): brushed metal
 HIDDEN_MEAN, HIDDEN_SIGMA = 0.3, 0.4  # share of the sky's light that the body hides
+HIDDEN_ALIKE = 0.01  # about that of a frame, which all poses share
 SKY_SIGMAS = 2.0  # level and slopes that are left over, in noise of a pixel of empty sky
 HERMITE_SIGMA = 0.15  # Gauss-Hermite deviations of the point spread
 SHIFT_SHARE = 0.3  # image shifts in turbulence, as a share of w

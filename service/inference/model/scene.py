@@ -37,6 +37,7 @@ class Scene:
     light: prior.LightPrior = field(default_factory=prior.LightPrior)
     starry: NDArray[np.uint8] | None = None  # (S, S) numbers of light that may be a star's, 0 elsewhere
     starry_alone: NDArray[np.uint8] | None = None  # (S, S) the same where the object is absent; None: no more
+    hides: float | None = None  # share of the sky's light that the body hides; None: as likely as its prior has it
     seen_photon: float | None = None  # variance per count, as the frame's finest checkerboard has it
 
     @property
@@ -127,13 +128,17 @@ class Scene:
         point_spread: PointSpread | None = None,
         discrepancy: float | None = None,
         photon: float | None = None,
+        hides: float | None = None,
     ) -> Scene:
-        """The same frame, with the low pass it has, under another point spread, discrepancy or photon transfer."""
+        """The same frame, with the low pass it has, under another point spread, discrepancy, photon transfer or share
+        of hidden sky.
+        """
         other = replace(
             self,
             point_spread=point_spread or self.point_spread,
             discrepancy=self.discrepancy if discrepancy is None else discrepancy,
             photon=self.photon if photon is None else photon,
+            hides=self.hides if hides is None else hides,
             low_pass=self.smoothing,
         )
         for name in ("data", "area", "full", "stars", "gain"):  # of the frame and its low pass alone

@@ -23,7 +23,7 @@ from service.inference.model.candidates import (
 from service.inference.model.drawing import Drawing
 from service.inference.model.expected import lit_box
 from service.inference.model.lookalikes import BETWEEN_JOINTS, boxed, equivalents, scattered
-from service.inference.model.nuisance import Nuisance, best_discrepancy, best_photon, best_spread
+from service.inference.model.nuisance import Nuisance, best_discrepancy, best_hidden, best_photon, best_spread
 from service.inference.model.proposing import propose, turns
 from service.inference.model.shaking import SAME_DEG, shaken
 from service.inference.model.stages import (
@@ -118,7 +118,8 @@ def search(
     hill = stage_hill(body.middle, sight, MIDDLE, nuisance, told, speckle=False)
     more = 1 + min(1, some.poses.joints.shape[1])
     some = climbed(hill, scored(hill, some), replace(MIDDLE, kept=more * MIDDLE.kept))
-    nuisance = best_spread(looked(hill, some.poses[:3], some.suns[:3]), nuisance)
+    best = looked(hill, some.poses[:3], some.suns[:3])
+    nuisance = best_hidden(best, best_spread(best, nuisance))
     hill = stage_hill(body.middle, sight, SHARP, nuisance, told, speckle=False)
     some = climbed(hill, scored(hill, some), SHARP)
     if told.towards_sun is None:  # no climb leads from a Sun in front of a flat body to one behind it
@@ -218,7 +219,7 @@ def finest_hill(
     The discrepancy twice: bright light that is noisy may be either's. The point spread again under what noise there is:
     while all light was thought as noisy as the prior has it, dim edges said little.
     """
-    for better in (best_spread, best_discrepancy, best_photon, best_spread, best_discrepancy):
+    for better in (best_spread, best_hidden, best_discrepancy, best_photon, best_spread, best_discrepancy):
         hill = stage_hill(body.fine, sight, FINEST, nuisance, told, speckle=True)
         lead = lead.on(hill) if lead.is_drawn_on(hill) else looked(hill, some.poses[:1], some.suns[:1])
         nuisance = better(lead, nuisance)

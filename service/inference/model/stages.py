@@ -187,6 +187,7 @@ def stage_hill(
         grain=grain,
         starry=patch.stars,
         starry_alone=patch.stars_alone,
+        hides=nuisance.hides,
         seen_photon=patch.photon,
     )
     view = View(patch.origin, patch.binning, len(patch.image), sight.lens)

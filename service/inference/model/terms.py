@@ -65,11 +65,10 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
     """The terms of a body of G groups whose drawings have Q planes."""
     offset, positive = positive_priors(n_groups, n_planes)
     wings = scene.point_spread.wings
-    sigmas = [*positive, prior.GAIN_SIGMA, scene.light.even_sigma, prior.HIDDEN_SIGMA] + [
-        prior.SKY_SIGMAS * scene.sigma
-    ] * 3
+    hides = (prior.HIDDEN_MEAN, prior.HIDDEN_SIGMA) if scene.hides is None else (scene.hides, prior.HIDDEN_ALIKE)
+    sigmas = [*positive, prior.GAIN_SIGMA, scene.light.even_sigma, hides[1]] + [prior.SKY_SIGMAS * scene.sigma] * 3
     sigmas += [prior.EVEN_TILT_SIGMA] * 3
-    means = [0.0] * (n_planes - EVEN_PLANES) + [scene.gain, scene.light.even_mean, prior.HIDDEN_MEAN]
+    means = [0.0] * (n_planes - EVEN_PLANES) + [scene.gain, scene.light.even_mean, hides[0]]
     speckle, shifts = scene.shifts, scene.shifts and wings > 0
     if speckle:
         sigmas += [prior.HERMITE_SIGMA] * 12

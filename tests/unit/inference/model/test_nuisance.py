@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from lit_body import QUALITY, SUN, VIEW, lit_body, pose, scene, seen, shares
 
-from service.inference.model.nuisance import Nuisance, best_discrepancy, best_photon, best_spread
+from service.inference.model.nuisance import (
+    Nuisance,
+    best_discrepancy,
+    best_hidden,
+    best_photon,
+    best_spread,
+    neighbour,
+)
 from service.inference.model.spread import PointSpread
 from service.inference.numerics.hill import Hill, looked
 from service.inference.numerics.priors import PosePrior
@@ -100,6 +107,32 @@ def test_a_body_hides_no_more_of_the_sky_than_its_noise_allows():
     one = replace(scene(np.zeros((64, 64)), 2.0), sky=100.0, photon=0.1)
     assert one.hidden == pytest.approx(1.5 * 2.0**2 / 0.1)
     assert one.under(photon=0.01).hidden == 100.0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_the_sky_that_a_body_hides_is_one_number_for_the_frame(share):
+    """Of a pose alone it is free: more light and more hidden sky is all but the same image."""
+    sky, coefficients = 60.0, shares(lit_body(), 40.0)
+    coefficients[lit_body().n_groups] -= share * sky
+    on = hill(seen(pose(), coefficients), Nuisance(1.3), discrepancy=0.02, sky=sky, photon=0.05)
+    at = looked(on, some(), np.tile(SUN, (2, 1)))
+    found = best_hidden(at, Nuisance(1.3))
+    assert found.hides == pytest.approx(share, abs=0.1)
+    assert best_hidden(at, replace(found, hides=share * 0.9)).hides == pytest.approx(share, abs=0.1)
+    held = at.on(replace(on, scene=on.scene.under(hides=found.hides))).values
+    assert held[1, lit_body().n_groups * 2 + 2] == pytest.approx(found.hides, abs=0.03)
+
+
+def test_every_fifth_frame_tries_a_neighbour_of_each():
+    start = Nuisance(1.3, 0.4, 0.02, 0.5, 0.5)
+    tried = [neighbour(start, turn) for turn in range(10)]
+    for name in ("discrepancy", "photon", "hides"):
+        told = [getattr(one, name) for one in tried]
+        assert [value != getattr(start, name) for value in told].count(True) == 2
+        assert min(told) < getattr(start, name) < max(told)
+    assert neighbour(replace(start, hides=0.0), 4).hides == 0.0
+    unknown = Nuisance(1.3, 0.4, 0.02)
+    assert all(neighbour(unknown, turn).hides is None for turn in range(10))
 
 
 def test_squares_of_pixels_make_the_point_spread_smaller():
