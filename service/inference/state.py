@@ -88,7 +88,7 @@ class Mixture:
     misses: int  # that had not found it while another led
     since_search: int  # frames since the last of a search
     photon: float | None = None  # variance per count of light; None: as each frame suggests
-    hides: float | None = None  # share of the sky's light that the body hides; None: as likely as its prior has it
+    hides: float | None = None  # counts of the sky's light that the body hides; None: as likely as its prior has it
     searched_nats: float = 340.0  # log evidence against the empty sky where it was searched; as if 0.8 of them met it
     parts_searched: int = 0  # of the search that is under way
     answered: float = 0.0  # probability that the leading answer was told with when it last fitted

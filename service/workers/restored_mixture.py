@@ -79,7 +79,7 @@ def _check_numbers(mixture: Mixture) -> None:
         "log_light": (mixture.log_light, float, -_LARGEST, _LARGEST),
         "span_px": (mixture.span_px, float, 1.0, _MOST_SPAN_PX),
         "photon": (1.0 if mixture.photon is None else mixture.photon, float, 1e-12, _LARGEST),
-        "hides": (0.0 if mixture.hides is None else mixture.hides, float, 0.0, 1.0),
+        "hides": (0.0 if mixture.hides is None else mixture.hides, float, 0.0, _LARGEST),
         "core": (float(core), float, 1e-9, _LARGEST),
         "wings": (float(wings), float, 0.0, _LARGEST),
         "searches": (mixture.searches, int, 0, _LARGEST),

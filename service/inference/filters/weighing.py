@@ -56,7 +56,7 @@ def weigh(
     modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
     lead = max(modes, key=lambda mode: mode.log_weight, default=None)
     level, afresh = None, -np.inf  # weight of no evidence in this frame; evidence of the leader were its paint unknown
-    other, looks = neighbour(nuisance, given.index), (-np.inf, -np.inf, -np.inf)
+    other, looks = neighbour(nuisance, given.index, hill.scene.hidden), (-np.inf, -np.inf, -np.inf)
     new = newborn(refined, ahead, found, given)
     if lead is not None:
         looks = looks_at(lead, hill, other)

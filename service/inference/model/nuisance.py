@@ -35,7 +35,7 @@ class Nuisance:
     wings: float = 0.0  # w
     discrepancy: float = prior.DISCREPANCY
     photon: float | None = None  # variance per count of light; None: as each frame's finest checkerboard has it
-    hides: float | None = None  # share of the sky's light that the body hides; None: not looked for yet
+    hides: float | None = None  # counts of the sky's light that the body hides; None: not looked for yet
 
     def point_spread(self, binning: float) -> PointSpread:
         """On a patch of squares of so many px."""
@@ -109,31 +109,36 @@ def best_photon(at: Looked, start: Nuisance) -> Nuisance:
 
 
 def best_hidden(at: Looked, start: Nuisance) -> Nuisance:
-    """The share of the sky's light that the body hides under which a few poses explain the frame best.
+    """The light of the sky that the body hides under which a few poses explain the frame best.
 
     Of each pose alone it is all but free: more light that hides more of the sky is the same image, but has more noise
     and more discrepancy, so poses would be told apart by where theirs happens to stand. A sky that is less than the
     noise of a pixel hides nothing that is felt.
     """
-    if at.hill.scene.hidden < at.hill.scene.sigma:
+    most = at.hill.scene.hidden
+    if most < at.hill.scene.sigma:
         return start
 
     def values(shares: list[float]) -> dict[float, float]:
-        found = at.log_evidences([at.hill.scene.under(hides=share) for share in shares]).max(axis=1)
+        found = at.log_evidences([at.hill.scene.under(hides=share * most) for share in shares]).max(axis=1)
         return {share: float(value) + _log_prior_of_hidden(share) for share, value in zip(shares, found, strict=True)}
 
-    seen = values([*_HIDDEN] if start.hides is None else [start.hides])
+    seen = values([*_HIDDEN] if start.hides is None else [min(start.hides / most, 1.0)])
     for step in _HIDDEN_STEPS:
         here = max(seen, key=lambda share: seen[share])
         seen |= values([share for share in (here - step, here + step) if 0 <= share <= 1 and share not in seen])
-    return replace(start, hides=max(seen, key=lambda share: seen[share]))
+    return replace(start, hides=most * max(seen, key=lambda share: seen[share]))
 
 
-def neighbour(now: Nuisance, turn: int) -> Nuisance:
-    """One of the five a step further on its grid: the air changes within a pass. ``turn`` counts frames."""
+def neighbour(now: Nuisance, turn: int, sky: float) -> Nuisance:
+    """One of the five a step further on its grid: the air changes within a pass.
+
+    ``turn`` counts frames; ``sky``: light of it that a body may hide at the most, counts.
+    """
     which, there = turn % _FIVE, turn // _FIVE
     if which == 4 and now.hides is not None:
-        return replace(now, hides=float(np.clip(now.hides + (1 if there % 2 else -1) * _HIDDEN_STEPS[-1], 0.0, 1.0)))
+        step = sky * _HIDDEN_STEPS[-1]
+        return replace(now, hides=float(np.clip(now.hides + (step if there % 2 else -step), 0.0, sky)))
     if which == 3 and now.photon is not None:
         return replace(now, photon=now.photon * (1 / _PHOTON_STEP if there % 2 else _PHOTON_STEP))
     if which == 2:
@@ -160,7 +165,8 @@ def log_prior(nuisance: Nuisance, hill: Hill) -> float:
     """Of all five in a frame, but for a constant."""
     deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
     out = _log_prior(nuisance.core, nuisance.wings) - 0.5 * deviation**2
-    out += 0.0 if nuisance.hides is None else _log_prior_of_hidden(nuisance.hides)
+    if nuisance.hides is not None and hill.scene.hidden > 0:
+        out += _log_prior_of_hidden(min(nuisance.hides / hill.scene.hidden, 1.0))
     photon = nuisance.photon_on(hill.view.binning)
     if photon is None or hill.scene.seen_photon is None:
         return out

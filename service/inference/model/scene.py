@@ -37,7 +37,7 @@ class Scene:
     light: prior.LightPrior = field(default_factory=prior.LightPrior)
     starry: NDArray[np.uint8] | None = None  # (S, S) numbers of light that may be a star's, 0 elsewhere
     starry_alone: NDArray[np.uint8] | None = None  # (S, S) the same where the object is absent; None: no more
-    hides: float | None = None  # share of the sky's light that the body hides; None: as likely as its prior has it
+    hides: float | None = None  # counts of the sky's light that the body hides; None: as likely as its prior has it
     seen_photon: float | None = None  # variance per count, as the frame's finest checkerboard has it
 
     @property
@@ -130,8 +130,8 @@ class Scene:
         photon: float | None = None,
         hides: float | None = None,
     ) -> Scene:
-        """The same frame, with the low pass it has, under another point spread, discrepancy, photon transfer or share
-        of hidden sky.
+        """The same frame, with the low pass it has, under another point spread, discrepancy, photon transfer or hidden
+        sky.
         """
         other = replace(
             self,

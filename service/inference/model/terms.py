@@ -65,7 +65,9 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
     """The terms of a body of G groups whose drawings have Q planes."""
     offset, positive = positive_priors(n_groups, n_planes)
     wings = scene.point_spread.wings
-    hides = (prior.HIDDEN_MEAN, prior.HIDDEN_SIGMA) if scene.hides is None else (scene.hides, prior.HIDDEN_ALIKE)
+    hides = prior.HIDDEN_MEAN, prior.HIDDEN_SIGMA
+    if scene.hides is not None:
+        hides = min(scene.hides / max(scene.hidden, 1e-12), 1.0), prior.HIDDEN_ALIKE
     sigmas = [*positive, prior.GAIN_SIGMA, scene.light.even_sigma, hides[1]] + [prior.SKY_SIGMAS * scene.sigma] * 3
     sigmas += [prior.EVEN_TILT_SIGMA] * 3
     means = [0.0] * (n_planes - EVEN_PLANES) + [scene.gain, scene.light.even_mean, hides[0]]
