@@ -34,6 +34,7 @@ def http(server):
         yield client
 
 
+@pytest.mark.long
 def test_thirty_estimates_a_second(server, http, open_page):
     """The page keeps pace: what is shown is not older at the end than before, and no frame is missing.
 

@@ -122,7 +122,7 @@ def test_every_variant_and_column_is_documented(root):
 
 
 def test_motions_become_rows_and_a_line_for_each_law(tmp_path):
-    few = ["bench", "motion", "--frames", "20", "--span", "10", "--slowest", "2", "--json", str(tmp_path / "rows.json")]
+    few = ["bench", "motion", "--frames", "8", "--span", "10", "--slowest", "2", "--json", str(tmp_path / "rows.json")]
     result = RUNNER.invoke(app, [*few, "--passes", "1"], env=WIDE)
     assert result.exit_code == 0, result.output
     document = json.loads((tmp_path / "rows.json").read_text())
