@@ -30,8 +30,7 @@ def log_absent(hill: Hill) -> float:
     """Log evidence of the sky alone."""
     side, planes = hill.view.side, len(hill.terms.offset) + EVEN_PLANES
     nothing, terms = np.zeros((1, planes, side, side), np.float32), replace(hill.terms, stars=hill.scene.stars_alone)
-    found = hill.drawing.light.evidence(nothing, hill.drawing.n_groups, terms, hill.rounds)
-    return float(found.log_evidence[0])
+    return float(hill.log_evidences(nothing, terms)[0])
 
 
 def scene_unlike(hill: Hill) -> Scene:

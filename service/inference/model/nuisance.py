@@ -21,8 +21,8 @@ _LOGS = (*np.linspace(-1.4, 1.4, 13), 1.75, 2.1, 2.45, 2.8)
 _DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in _LOGS)
 _PHOTON_STEP = 1.41  # numerical: half a standard deviation of its log
 _PHOTONS = tuple(float(_PHOTON_STEP**k) for k in range(-6, 3))  # numerical: grid, of what the frame's checkerboard has
-_HIDDEN = (0.0, 0.25, 0.5, 0.75, 1.0)  # numerical: grid, and by what steps it is refined
-_HIDDEN_STEPS = (1 / 8, 1 / 16, 1 / 32)
+_HIDDEN = (0.0, 0.25, 0.5, 0.75, 1.0)  # numerical: grid: share of the most that can be hidden
+_HIDDEN_STEPS = (1 / 8, 1 / 16, 1 / 32)  # numerical: by which it is refined
 _FIVE = 5  # exact: point spread's width and wings, discrepancy, photons, hidden sky
 _LOOKS = 24  # numerical: grids are searched from where one stands: no more than this
 
@@ -123,7 +123,7 @@ def best_hidden(at: Looked, start: Nuisance) -> Nuisance:
         found = at.log_evidences([at.hill.scene.under(hides=share * most) for share in shares]).max(axis=1)
         return {share: float(value) + _log_prior_of_hidden(share) for share, value in zip(shares, found, strict=True)}
 
-    seen = values([*_HIDDEN] if start.hides is None else [min(start.hides / most, 1.0)])
+    seen = values([*_HIDDEN] if start.hides is None else [at.hill.scene.share_of_sky(start.hides)])
     for step in _HIDDEN_STEPS:
         here = max(seen, key=lambda share: seen[share])
         seen |= values([share for share in (here - step, here + step) if 0 <= share <= 1 and share not in seen])
@@ -166,7 +166,7 @@ def log_prior(nuisance: Nuisance, hill: Hill) -> float:
     deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
     out = _log_prior(nuisance.core, nuisance.wings) - 0.5 * deviation**2
     if nuisance.hides is not None and hill.scene.hidden > 0:
-        out += _log_prior_of_hidden(min(nuisance.hides / hill.scene.hidden, 1.0))
+        out += _log_prior_of_hidden(hill.scene.share_of_sky(nuisance.hides))
     photon = nuisance.photon_on(hill.view.binning)
     if photon is None or hill.scene.seen_photon is None:
         return out

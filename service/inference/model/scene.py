@@ -72,6 +72,10 @@ class Scene:
         """S: light of the sky that a body can hide at the most, counts: its photons are no more than its noise."""
         return min(self.sky, prior.PHOTON_UNSURE * self.sigma**2 / max(self.photon, 1e-12))
 
+    def share_of_sky(self, counts: float) -> float:
+        """So much hidden light, as a share of S; 0 where no sky can be hidden."""
+        return min(counts / self.hidden, 1.0) if self.hidden > 0 else 0.0
+
     @cached_property
     def full(self) -> NDArray[np.bool_]:
         """(S, S) pixels of which only a least value is known."""

@@ -67,7 +67,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
     wings = scene.point_spread.wings
     hides = prior.HIDDEN_MEAN, prior.HIDDEN_SIGMA
     if scene.hides is not None:
-        hides = min(scene.hides / max(scene.hidden, 1e-12), 1.0), prior.HIDDEN_ALIKE
+        hides = scene.share_of_sky(scene.hides), prior.HIDDEN_ALIKE
     sigmas = [*positive, prior.GAIN_SIGMA, scene.light.even_sigma, hides[1]] + [prior.SKY_SIGMAS * scene.sigma] * 3
     sigmas += [prior.EVEN_TILT_SIGMA] * 3
     means = [0.0] * (n_planes - EVEN_PLANES) + [scene.gain, scene.light.even_mean, hides[0]]

@@ -62,9 +62,9 @@ class Hill:
     def _under(self, scene: Scene) -> Terms:
         return terms_of(scene, self.drawing.n_groups, self._n_planes)
 
-    def log_evidences(self, planes: Images) -> Array:
-        """(N,) of drawn poses (N, Q, S, S)."""
-        found = self.drawing.light.evidence(planes, self.drawing.n_groups, self.terms, self.rounds)
+    def log_evidences(self, planes: Images, terms: Terms | None = None) -> Array:
+        """(N,) of drawn poses (N, Q, S, S); ``terms``: other than the hill's own."""
+        found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms or self.terms, self.rounds)
         return np.asarray(found.log_evidence, np.float64)
 
     def log_evidences_under(
