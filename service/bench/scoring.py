@@ -12,7 +12,8 @@ from service.bench.silhouette import Mask, fine_silhouette, overlap
 from service.inference.articulation import Articulation, Joint, hold
 from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
 from service.inference.numerics.student import scale_of, share_within, squared_radius
-from service.inference.pose import angle_between, concatenate, local
+from service.inference.pose import concatenate, local
+from service.inference.revolution import Axis, angle_apart
 from service.inference.state import Array, Estimate, Mode, PoseEstimate, Poses
 from service.inference.symmetry import Symmetry, twin
 from service.models.symmetry_group import held_symmetries, make_symmetry
@@ -55,6 +56,7 @@ class Referee:
         self._case = case
         self.articulation: Articulation = hold(case.model.articulation, case.free, {})
         self._alike = ambiguity(case, self.articulation)
+        self._axes = self.articulation.round_axes
         self._mirrored = np.array([False, *(symmetry.kind == "mirror" for symmetry in self._alike)])
 
     def draw(self, pose: Poses) -> Mask:
@@ -66,7 +68,7 @@ class Referee:
         if real is None:
             return FrameScore(index, truth.time_s, False, estimate.status, ms)
         alike, best = self._alike_to(truth), estimate.best
-        angles = _angles_deg(best, alike)
+        angles = _angles_deg(best, alike, self._axes)
         joint, position = self._nearest(best, alike, angles)
         modes = [mode for mode in estimate.modes if mode.weight >= LEAST_WEIGHT]
         nearest_deg, width_deg, region, joints90 = self._nearest_mode(modes, estimate, alike)
@@ -92,7 +94,7 @@ class Referee:
 
     def error_deg(self, truth: TruthFrame, found: PoseEstimate) -> float:
         """Degrees between a rotation and the nearest that looks as the true one does."""
-        return float(_angles_deg(found, self._alike_to(truth)).min())
+        return float(_angles_deg(found, self._alike_to(truth), self._axes).min())
 
     def _alike_to(self, truth: TruthFrame) -> Poses:
         """The true pose, and those that look as it does."""
@@ -115,7 +117,7 @@ class Referee:
         share of its joints that are where it says.
         """
         told = [(mode.pose, mode.spread) for mode in modes] or [(estimate.best, estimate.spread)]
-        angles = np.array([_angles_deg(pose, alike) for pose, _ in told])
+        angles = np.array([_angles_deg(pose, alike, self._axes) for pose, _ in told])
         k, true = np.unravel_index(int(np.argmin(angles)), angles.shape)
         pose, spread = told[k]
         off = np.rad2deg(local(_batch(pose), alike[true : true + 1])[0, :3])
@@ -139,7 +141,7 @@ class Referee:
         """Whether modes stand near the truth (or a rotation symmetry of it) and near a mirror twin of it."""
         if not self._mirrored.any():
             return None
-        gaps = np.array([_angles_deg(mode.pose, alike) for mode in modes]).reshape(-1, len(alike))
+        gaps = np.array([_angles_deg(mode.pose, alike, self._axes) for mode in modes]).reshape(-1, len(alike))
         near = np.any(gaps < TWIN_FOUND_DEG, axis=0)
         return bool(near[self._mirrored].any() and near[~self._mirrored].any())
 
@@ -163,8 +165,8 @@ def region_of(off: Array, covariance: Array) -> float:
     return share_within(float(square), 3, degrees)
 
 
-def _angles_deg(found: PoseEstimate, alike: Poses) -> Array:
-    return np.rad2deg(angle_between(found.quaternion[None], alike.quaternion))
+def _angles_deg(found: PoseEstimate, alike: Poses, axes: Sequence[Axis]) -> Array:
+    return np.rad2deg(angle_apart(found.quaternion[None], alike.quaternion, axes))
 
 
 def _joint_error(joint: Joint, found: float, truth: float) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.pose import rotation_matrices
+from service.inference.revolution import Axis
 from service.inference.state import Array, Poses
 
 Kind = Literal["revolute", "prismatic"]
@@ -52,6 +53,7 @@ class Articulation:
     parts: tuple[str, ...]
     joints: tuple[Joint, ...] = ()
     held: tuple[tuple[Joint, float], ...] = ()  # joints that are not estimated, each at its value
+    round_axes: tuple[Axis, ...] = ()  # about which a turn changes nothing that can be seen (``revolution``)
 
     @property
     def n_joints(self) -> int:
@@ -103,7 +105,7 @@ class Articulation:
 
     def __getstate__(self) -> dict[str, object]:
         """Without what can be worked out again: jobs carry it to the workers."""
-        return {name: vars(self)[name] for name in ("parts", "joints", "held")}
+        return {name: vars(self)[name] for name in ("parts", "joints", "held", "round_axes")}
 
 
 def hold(
@@ -130,6 +132,7 @@ def hold(
             *articulation.held,
             *((j, float(fixed.get(j.name, j.initial))) for j in articulation.joints if j.name not in wanted),
         ),
+        articulation.round_axes,
     )
 
 

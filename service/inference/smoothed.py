@@ -11,6 +11,7 @@ from service.inference.belief import Belief, rates_of
 from service.inference.domain import Domain
 from service.inference.estimate import mean_pose, report, spread, twin_modes
 from service.inference.pose import concatenate, repeat, retract
+from service.inference.revolution import turned_round
 from service.inference.state import Array, Mode, PoseEstimate, Poses, Rates, Spread
 from service.inference.symmetry import Symmetry, twin
 
@@ -30,7 +31,8 @@ class SmoothedEstimate:
 def summarise_belief(belief: Belief, twins: Sequence[Symmetry], domain: Domain, with_rates: bool) -> SmoothedEstimate:
     """Mean, spreads and modes over all twins; rates of the heaviest mode where the motion has any."""
     weights = np.exp(belief.log_weights)
-    clouds = [_everybody(sigma_points(belief, k), twins, domain) for k in range(len(belief))]
+    axes = domain.articulation.round_axes
+    clouds = [_everybody(turned_round(sigma_points(belief, k), axes), twins, domain) for k in range(len(belief))]
     each = len(clouds[0][0])  # points of one mode
     even = np.full(each, 1.0 / each)
     modes = [

@@ -15,8 +15,10 @@ import numpy as np
 
 from gpu.mesh import Mesh
 from service.inference.articulation import Articulation
+from service.inference.revolution import Axis
 from service.inference.state import Array
 from service.inference.symmetry import Symmetry
+from service.models.joint_fields import triple
 from service.models.silhouettes import TooIntricateError
 from service.models.symmetric_joints import extend, joint_twins, mirrored_rest
 from service.models.symmetry_group import close_group, contains, with_joint_twins
@@ -31,15 +33,22 @@ from service.models.symmetry_matrices import (
 from service.models.symmetry_trials import Trials
 
 _BETTER = 0.01  # by this much must a nearly equal matrix overlap more to take another's place
+# Of a prism of so many sides that is meant as such: light tells its sides apart. More are meant to be round.
+_MOST_SIDES = 24
+_LEAST_UNEVEN = 0.15  # share of the area: of an even spread of sides 0, of a prism's 1
 
 
 @dataclass(frozen=True)
 class ModelSymmetries:
-    """What was found. ``joint_periods``: degrees after which a joint's silhouette repeats; None: never."""
+    """What was found. ``joint_periods``: degrees after which a joint's silhouette repeats; None: never.
+
+    ``round_axes``: unit, about which a turn changes nothing that can be seen, be it by outline or by light.
+    """
 
     symmetries: tuple[Symmetry, ...]
     joint_periods: tuple[float | None, ...]
     warnings: tuple[str, ...] = ()
+    round_axes: tuple[Axis, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,12 +91,13 @@ def _searched(trials: Trials) -> ModelSymmetries:
     matches, round_axes = _matches(trials)
     bodies = _with_joints(trials, matches)
     group = _verified_group(trials, bodies)
-    warnings = [*twins.warnings, *(_round_warning(axis) for axis in round_axes)]
     joints = trials.articulation.joints
+    truly = [] if joints else [axis for axis in round_axes if _is_round(_triangles(trials.mesh), axis)]
+    warnings = [*twins.warnings, *(_round_warning(axis, any(axis is one for one in truly)) for axis in round_axes)]
     if not round_axes and not all(contains(group, symmetry, joints) for symmetry in bodies):
         warnings.append("the body has more symmetries than the tracker follows: equal views may be reported once")
     symmetries = with_joint_twins(group, twins.symmetries, joints)
-    return ModelSymmetries(symmetries, twins.periods, tuple(warnings))
+    return ModelSymmetries(symmetries, twins.periods, tuple(warnings), tuple(triple(axis) for axis in truly))
 
 
 def with_periods(articulation: Articulation, periods: Sequence[float | None]) -> Articulation:
@@ -113,7 +123,7 @@ def describe_symmetries(symmetries: Sequence[Symmetry], articulation: Articulati
 
 
 def _matches(trials: Trials) -> tuple[list[_Match], list[Array]]:
-    """Matrices through which the body at rest looks the same, best first of nearly equal ones; axes of revolution."""
+    """Matrices through which the body at rest looks the same, best of nearly equal ones; axes of round outlines."""
     whole = tuple(range(len(trials.mesh.parts)))
     points = np.vstack(trials.points)
     matches: list[_Match] = []
@@ -203,6 +213,18 @@ def _too_intricate(mesh: Mesh, articulation: Articulation) -> str:
     )
 
 
-def _round_warning(axis: Array) -> str:
+def _is_round(triangles: Array, axis: Array) -> bool:
+    """Whether the surface faces all ways about an axis alike: no Fourier coefficient of its normals stands out."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    x = np.linalg.svd(axis[None])[2][1]
+    across = normals @ np.column_stack([x, np.cross(axis, x)])
+    area, angle = np.linalg.norm(across, axis=1), np.arctan2(across[:, 1], across[:, 0])
+    waves = np.exp(1j * np.arange(1, _MOST_SIDES + 1)[:, None] * angle) @ area
+    return bool(np.abs(waves).max() < _LEAST_UNEVEN * area.sum())
+
+
+def _round_warning(axis: Array, truly: bool) -> str:
     x, y, z = np.round(axis, 3) + 0.0
-    return f"the body looks the same at every turn about the axis ({x:g}, {y:g}, {z:g}): that angle cannot be found"
+    if truly:
+        return f"the body looks the same at every turn about the axis ({x:g}, {y:g}, {z:g}): that angle cannot be found"
+    return f"the body's outline is the same at every turn about the axis ({x:g}, {y:g}, {z:g}): light alone tells it"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from gpu.mesh import Mesh
 from gpu.mesh_limits import MeshLimitError, MeshLimits
@@ -27,7 +28,7 @@ def report_model(job: ModelJob, mesh: Mesh, limits: MeshLimits) -> ModelReport:
         size=mesh.size,
         centre=mesh.centre,
         watertight=mesh.watertight,
-        articulation=with_periods(found.articulation, same.joint_periods),
+        articulation=replace(with_periods(found.articulation, same.joint_periods), round_axes=same.round_axes),
         symmetries=tuple(describe_symmetries(same.symmetries, found.articulation)),
         warnings=(*_first(mesh.warnings), *_first(found.warnings), *same.warnings),
         twins=same.symmetries,

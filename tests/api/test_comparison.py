@@ -171,7 +171,7 @@ def shortened() -> bytes:
     return write_glb("short", [SolidNode("bus", bus), SolidNode("wing", wing)])
 
 
-@pytest.mark.parametrize("real", [0, 1])
+@pytest.mark.parametrize("real", [0, pytest.param(1, marks=pytest.mark.long)])
 async def test_the_right_one_of_two_satellites_is_found(make_app, real):
     """Whichever of them flies, its probability is near one; a joint more is no advantage."""
     files = (demo_satellite(), shortened())

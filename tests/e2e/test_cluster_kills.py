@@ -3,7 +3,7 @@
 import pytest
 from cluster_loop import good, run
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.timeout(600), pytest.mark.long]
 
 
 def test_two_web_processes_lose_nothing_under_kills(postgres):

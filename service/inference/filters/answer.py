@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from service.inference.estimate import mean_pose, report, spread
 from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
 from service.inference.numerics.student import draw, root_of
 from service.inference.pose import concatenate, exp_so3, multiply, retract, yaw_pitch_roll_deg
+from service.inference.revolution import Axis, turned_freely, with_free_turn
 from service.inference.state import Array, Estimate, FilterState, Goodness, Mixture, Mode, Poses, Spread
 
 _DRAWS = 128  # numerical: pairs, for the spreads that have no closed form: yaw, pitch, roll
@@ -34,15 +36,16 @@ def drawn(rng: np.random.Generator, mixture: Mixture, count: int, domain: Domain
         low, high = domain.joint_bounds
         joints = np.where(domain.wrapping, moved.joints, np.clip(moved.joints, low, high))
         log_scale = np.clip(moved.log_scale, *domain.log_scale_bounds)
-        poses.append(domain.wrap(Poses(moved.quaternion, moved.position, log_scale, joints)))
+        turned = turned_freely(rng, moved.quaternion, domain.articulation.round_axes)
+        poses.append(domain.wrap(Poses(turned, moved.position, log_scale, joints)))
         rates.append(mixture.rates[k] + steps[:, d:])
     return concatenate(*poses), np.concatenate(rates)
 
 
-def mode_spread(mixture: Mixture, k: int) -> Spread:
-    """Standard deviations and covariance of one mode."""
+def mode_spread(mixture: Mixture, k: int, axes: Sequence[Axis] = ()) -> Spread:
+    """Standard deviations and covariance of one mode of a body that is round about ``axes``."""
     d = mixture.rates.shape[1]
-    covariance = covariance_of(mixture, k)[:d, :d]
+    covariance = with_free_turn(covariance_of(mixture, k)[:d, :d], axes)
     mean = mixture.poses[k : k + 1]
     yaw, pitch, roll = _euler_deviations(mean.quaternion, covariance[:3, :3])
     units = np.ones(d)
@@ -93,7 +96,7 @@ def estimate_of(
     mean = domain.wrap(mean_pose(particles, weights, domain.wrapping))
     modes = []
     for k in np.argsort(-mixture.log_weights):
-        width = mode_spread(mixture, int(k))
+        width = mode_spread(mixture, int(k), domain.articulation.round_axes)
         modes.append(Mode(float(np.exp(mixture.log_weights[k])), report(domain.wrap(mixture.poses[k : k + 1])), width))
     return Estimate(
         status=status,

@@ -227,9 +227,8 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
     """The heaviest modes; those that met are one."""
     log_weights = updated.log_weights - np.logaddexp.reduce(updated.log_weights)
     kept: list[int] = []
-    wrapping = given.domain.wrapping
     for k in np.argsort(-log_weights):
-        same = [j for j in kept if same_mode(updated.refined[k], updated.refined[j], wrapping)]
+        same = [j for j in kept if same_mode(updated.refined[k], updated.refined[j], given.domain)]
         if same:
             log_weights[same[0]] = np.logaddexp(log_weights[same[0]], log_weights[k])
         elif len(kept) < MOST_MODES and log_weights[k] > np.log(_LEAST):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from service.inference.domain import Domain
 from service.inference.model import existence
 from service.inference.model.spread import PointSpread
-from service.inference.pose import angle_between, concatenate
+from service.inference.pose import concatenate
+from service.inference.revolution import angle_apart
 from service.inference.state import Array, Mixture, Poses
 from service.inference.symmetry import Symmetry, twin
 
@@ -62,5 +63,6 @@ def equivalents(pose: Poses, twins: Sequence[Symmetry], domain: Domain) -> Poses
 def one_answer(pose: Poses, others: Poses, twins: Sequence[Symmetry], domain: Domain) -> NDArray[np.bool_]:
     """(N,) which of N poses turn the body as a batch of one does, or as one that cannot be told from it."""
     alike = equivalents(pose, twins, domain).quaternion
-    apart = np.rad2deg(angle_between(others.quaternion[:, None], alike[None]).min(axis=1))
+    axes = domain.articulation.round_axes
+    apart = np.rad2deg(angle_apart(others.quaternion[:, None], alike[None], axes).min(axis=1))
     return np.asarray(apart < _EQUIVALENT_DEG)

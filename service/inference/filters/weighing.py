@@ -20,6 +20,7 @@ from service.inference.motion import MotionNoise
 from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import Believed
+from service.inference.revolution import angle_apart
 from service.inference.state import Array, Mixture
 
 MOST_MODES = 6  # numerical: that are kept
@@ -194,10 +195,10 @@ def newborn(
     """
     if found is None:
         return []
-    articulation, wrapping = given.body.fine.articulation, given.domain.wrapping
+    articulation = given.body.fine.articulation
     out: list[tuple[Refined, int | None]] = []
     for one in found.basins[:MOST_MODES]:
-        if not any(same_mode(one, other, wrapping) for other in refined):
+        if not any(same_mode(one, other, given.domain) for other in refined):
             alike = None if ahead is None else turned_alike(one.pose, ahead.poses, articulation)
             out.append((one, None if alike is None or not alike.any() else int(np.argmax(alike))))
     return out
@@ -210,10 +211,11 @@ def repainted(one: Refined, learnt: Array, hill: Hill, wrapping: NDArray[np.bool
     return ascend(hill, one.pose, one.sun[None], steps=FINEST.steps, covariance="last", believed=believed)[0]
 
 
-def same_mode(one: Refined, other: Refined, wrapping: NDArray[np.bool_]) -> bool:
-    """Whether two modes are one; ``wrapping`` (J,): joints that turn all the way round."""
-    apart = np.abs(tangent(one.pose, other.pose, wrapping)[0])
-    if float(np.linalg.norm(apart[:3])) > np.deg2rad(_SAME_DEG):
+def same_mode(one: Refined, other: Refined, domain: Domain) -> bool:
+    """Whether two modes are one."""
+    apart = np.abs(tangent(one.pose, other.pose, domain.wrapping)[0])
+    axes = domain.articulation.round_axes
+    if float(angle_apart(one.pose.quaternion, other.pose.quaternion, axes)[0]) > np.deg2rad(_SAME_DEG):
         return False
     wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
     return bool(np.all(apart[6:] <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))

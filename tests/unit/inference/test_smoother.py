@@ -229,6 +229,15 @@ def test_particles_become_the_belief_they_came_from():
     assert told.rates.deviation == pytest.approx(scale[D:], rel=0.1)
 
 
+def test_of_a_body_of_revolution_the_turn_about_its_axis_is_told_as_unknown():
+    poses, rates = cloud()
+    found = belief_of(FilterState(poses, np.full(len(poses), -np.log(len(poses))), rates, 0, 0.0, "tracking"), DOMAIN)
+    round_body = replace(DOMAIN, articulation=replace(DOMAIN.articulation, round_axes=((0.0, 0.0, 1.0),)))
+    told = summarise_belief(found, (), round_body, True)
+    assert told.spread.orientation_deg == pytest.approx(180 / np.sqrt(3), rel=0.02)
+    assert np.sqrt(told.spread.covariance[0, 0]) == pytest.approx(np.rad2deg(0.02), rel=0.2)
+
+
 def test_nothing_is_believed_before_anything_was_seen():
     poses, rates = cloud(50)
     weights = np.full(50, -np.log(50))

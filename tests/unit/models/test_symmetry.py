@@ -164,8 +164,16 @@ def test_a_body_of_revolution_is_warned_of():
     mesh = mesh_of(body=cone(1.0, 0.4, 2.0, 48))
     found = model_symmetries(mesh, rigid(mesh))
     assert any("every turn about the axis (0, 0, 1)" in warning for warning in found.warnings)
+    assert found.round_axes == ((0.0, 0.0, 1.0),)
     assert len(found.symmetries) == 7
     assert looks_alike(mesh, rigid(mesh), found.symmetries) > 0.97
+
+
+def test_of_a_prism_of_few_sides_light_tells_the_turn_that_its_outline_does_not():
+    mesh = mesh_of(body=cone(1.0, 1.0, 2.0, 12))
+    found = model_symmetries(mesh, rigid(mesh))
+    assert any("light alone tells it" in warning for warning in found.warnings)
+    assert found.round_axes == ()
 
 
 def flat_panel(initial=0.0, low=-180.0, high=180.0, tilt_deg=0.0):
