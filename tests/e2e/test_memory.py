@@ -1,6 +1,7 @@
 """The bounds of memory: as the document states them, and found for every kind of process."""
 
 import httpx
+import pytest
 from memory import BOUNDS_MB, over_bound, peaks_mb
 from passes import PNG, begin, box_pass
 from server_process import Server
@@ -12,6 +13,7 @@ def test_the_document_states_the_bounds(root):
         assert f"{name}: {bound} MiB" in section.replace("**", ""), name
 
 
+@pytest.mark.long
 def test_every_kind_of_process_is_looked_at_and_stays_within(tmp_path):
     server = Server(tmp_path / "data", log_level="error")
     server.start()

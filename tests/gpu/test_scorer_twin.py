@@ -8,6 +8,8 @@ from gpu_cases import MESHES, SHAPE, a_map, box, mesh_of, relative_error, shared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gpu import outline_kernels
+from gpu.clusters import build_table
 from gpu.device import find_devices
 from gpu.fill import FillScorer
 from gpu.outline import OutlineScorer
@@ -84,6 +86,12 @@ def test_hidden_pieces_change_nothing():
 def test_more_crossings_in_a_row_than_there_is_room_for(monkeypatch):
     crowded, score = [], OutlineScorer._score_crowded
     monkeypatch.setattr(OutlineScorer, "_score_crowded", lambda *given: crowded.append(given[0]) or score(*given))
+    tables = []  # what hides what is asked of the device once: it takes seven seconds
+    monkeypatch.setattr(
+        outline_kernels,
+        "build_table",
+        lambda *given: tables[0] if tables else tables.append(build_table(*given)) or tables[0],
+    )
     rng = np.random.default_rng(9)
     mesh = mesh_of(soup(rng, 900, 300))
     poses, values = transforms(rng, mesh, 1, 12.0), a_map(rng)

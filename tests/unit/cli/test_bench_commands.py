@@ -121,20 +121,24 @@ def test_every_variant_and_column_is_documented(root):
         assert f"`{name}`" in text
 
 
-def test_motions_become_rows_and_a_line_for_each_law(tmp_path):
+def motion(tmp_path, kind: str) -> dict:
     few = ["bench", "motion", "--frames", "8", "--span", "10", "--slowest", "2", "--json", str(tmp_path / "rows.json")]
-    result = RUNNER.invoke(app, [*few, "--passes", "1"], env=WIDE)
+    result = RUNNER.invoke(app, [*few, kind, "1"], env=WIDE)
     assert result.exit_code == 0, result.output
-    document = json.loads((tmp_path / "rows.json").read_text())
+    return json.loads((tmp_path / "rows.json").read_text())
+
+
+def test_motions_become_rows_and_a_line_for_each_law(tmp_path):
+    document = motion(tmp_path, "--passes")
     assert [row["law"] for row in document["rows"]] == ["constant_rate", "tumbling"]
     assert {"law_right", "rate_met", "cover90", "ratios_within10"} <= set(document["overall"][0])
-    result = RUNNER.invoke(app, [*few, "--modes", "1"], env=WIDE)
-    assert result.exit_code == 0, result.output
-    document = json.loads((tmp_path / "rows.json").read_text())
+
+
+@pytest.mark.long
+def test_modes_and_stations_become_rows(tmp_path):
+    document = motion(tmp_path, "--modes")
     assert document["rows"][0]["truth"] == "inertially_fixed"
     assert {"right", "sure_right"} <= set(document["overall"][-1])
-    result = RUNNER.invoke(app, [*few, "--stations", "1"], env=WIDE)
-    assert result.exit_code == 0, result.output
-    document = json.loads((tmp_path / "rows.json").read_text())
+    document = motion(tmp_path, "--stations")
     assert document["overall"]["passes"] == 1
     assert set(document["rows"][0]["error_deg"]) == {"first", "second", "both"}
