@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
 from service.inference.params import PriorParams
-from service.inference.pose import concatenate
+from service.inference.pose import any_turns, concatenate
 from service.inference.state import Array, Poses
 
 ShowsHalf = Callable[[Poses], NDArray[np.bool_]]  # (N,) which poses show at least half of the body in the image
@@ -129,9 +129,8 @@ def _sample_bounds(rng: np.random.Generator, domain: Domain, count: int) -> Pose
     low, high = domain.log_scale_bounds
     first, last = domain.position_bounds
     least, greatest = domain.joint_bounds
-    quaternion = rng.standard_normal((count, 4))
     return Poses(
-        quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
+        any_turns(rng, count),
         first + rng.random((count, 2)) * (last - first),
         np.log(rng.uniform(np.exp(low), np.exp(high), count)),
         least + rng.random((count, domain.articulation.n_joints)) * (greatest - least),

@@ -86,6 +86,17 @@ def angle_between(a: Array, b: Array) -> Array:
     return np.asarray(np.where(dot < 0.9, 2 * np.arccos(np.clip(dot, 0, 1)), 4 * np.arcsin(chord / 2)))
 
 
+def directions_apart(a: Array, b: Array) -> Array:
+    """Angle in radians between vectors (..., 3)."""
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def any_turns(rng: np.random.Generator, count: int) -> Array:
+    """(count, 4) quaternions, uniform over all turns (Haar measure)."""
+    drawn = rng.standard_normal((count, 4))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+
+
 def retract(poses: Poses, delta: Array) -> Poses:
     """Move N poses by tangent steps (N, 6 + J): body-side rotation (rad), x, y (px), log scale, joints."""
     return Poses(

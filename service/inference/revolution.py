@@ -10,7 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.inference.pose import angle_between, concatenate, exp_so3, multiply, rotation_matrices
+from service.inference.pose import (
+    angle_between,
+    any_turns,
+    concatenate,
+    directions_apart,
+    exp_so3,
+    multiply,
+    rotation_matrices,
+)
 from service.inference.state import Array, Poses
 
 Axis = tuple[float, float, float]
@@ -30,8 +38,7 @@ def angle_apart(a: Array, b: Array, axes: Sequence[Axis]) -> Array:
         return angle_between(a, b)
     if len(axes) > 1:
         return np.zeros(np.broadcast_shapes(a.shape, b.shape)[:-1])
-    here, there = rotation_matrices(a) @ axes[0], rotation_matrices(b) @ axes[0]
-    return np.asarray(np.arctan2(np.linalg.norm(np.cross(here, there), axis=-1), np.sum(here * there, axis=-1)))
+    return directions_apart(rotation_matrices(a) @ axes[0], rotation_matrices(b) @ axes[0])
 
 
 def turned_freely(rng: np.random.Generator, quaternion: Array, axes: Sequence[Axis]) -> Array:
@@ -39,8 +46,7 @@ def turned_freely(rng: np.random.Generator, quaternion: Array, axes: Sequence[Ax
     if not axes:
         return quaternion
     if len(axes) > 1:
-        any_turn = rng.standard_normal((len(quaternion), 4))
-        return multiply(quaternion, any_turn / np.linalg.norm(any_turn, axis=1, keepdims=True))
+        return any_turns(rng, len(quaternion))
     angle = rng.uniform(-np.pi, np.pi, (len(quaternion), 1))
     return multiply(quaternion, exp_so3(angle * np.array(axes[0])))
 

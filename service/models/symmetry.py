@@ -26,6 +26,7 @@ from service.models.symmetry_matrices import (
     ALIKE_DEG,
     angle_deg,
     body_frames,
+    faces_all_ways,
     matrices,
     mirrors_along,
     turn,
@@ -33,9 +34,6 @@ from service.models.symmetry_matrices import (
 from service.models.symmetry_trials import Trials
 
 _BETTER = 0.01  # by this much must a nearly equal matrix overlap more to take another's place
-# Of a prism of so many sides that is meant as such: light tells its sides apart. More are meant to be round.
-_MOST_SIDES = 24
-_LEAST_UNEVEN = 0.15  # share of the area: of an even spread of sides 0, of a prism's 1
 
 
 @dataclass(frozen=True)
@@ -92,12 +90,14 @@ def _searched(trials: Trials) -> ModelSymmetries:
     bodies = _with_joints(trials, matches)
     group = _verified_group(trials, bodies)
     joints = trials.articulation.joints
-    truly = [] if joints else [axis for axis in round_axes if _is_round(_triangles(trials.mesh), axis)]
-    warnings = [*twins.warnings, *(_round_warning(axis, any(axis is one for one in truly)) for axis in round_axes)]
+    triangles = _triangles(trials.mesh)
+    truly = [not joints and faces_all_ways(axis, triangles) for axis in round_axes]
+    warnings = [*twins.warnings, *(_round_warning(axis, one) for axis, one in zip(round_axes, truly, strict=True))]
     if not round_axes and not all(contains(group, symmetry, joints) for symmetry in bodies):
         warnings.append("the body has more symmetries than the tracker follows: equal views may be reported once")
     symmetries = with_joint_twins(group, twins.symmetries, joints)
-    return ModelSymmetries(symmetries, twins.periods, tuple(warnings), tuple(triple(axis) for axis in truly))
+    axes = tuple(triple(axis) for axis, one in zip(round_axes, truly, strict=True) if one)
+    return ModelSymmetries(symmetries, twins.periods, tuple(warnings), axes)
 
 
 def with_periods(articulation: Articulation, periods: Sequence[float | None]) -> Articulation:
@@ -211,16 +211,6 @@ def _too_intricate(mesh: Mesh, articulation: Articulation) -> str:
         f"the body ({mesh.n_faces} faces in {len(mesh.parts)} parts, {articulation.n_joints} joints) is too intricate"
         " to look for all its symmetries: poses that look equal may be reported once"
     )
-
-
-def _is_round(triangles: Array, axis: Array) -> bool:
-    """Whether the surface faces all ways about an axis alike: no Fourier coefficient of its normals stands out."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    x = np.linalg.svd(axis[None])[2][1]
-    across = normals @ np.column_stack([x, np.cross(axis, x)])
-    area, angle = np.linalg.norm(across, axis=1), np.arctan2(across[:, 1], across[:, 0])
-    waves = np.exp(1j * np.arange(1, _MOST_SIDES + 1)[:, None] * angle) @ area
-    return bool(np.abs(waves).max() < _LEAST_UNEVEN * area.sum())
 
 
 def _round_warning(axis: Array, truly: bool) -> str:

@@ -10,6 +10,9 @@ from service.inference.state import Array
 FOLDS = (2, 4, 3, 6, 8)  # in the order in which they join a symmetry group
 ALIKE_DEG = 10.0  # closer than this, two matrices are two estimates of one symmetry
 _SAME_AXES_DEG = 1.0
+# Of a prism of so many sides that is meant as such: light tells its sides apart. More are meant to be round.
+_MOST_SIDES = 24
+_LEAST_UNEVEN = 0.15  # share of the area: of an even spread of sides 0, of a prism's 1
 
 
 def body_frames(triangles: Array) -> list[Array]:
@@ -55,9 +58,22 @@ def mirrors_along(axis: Array, points: Array, fold: int) -> list[Array]:
     The phase of the moment sum r^m exp(i m angle) with m = ``fold`` tells how the body is turned about the axis;
     a mirror plane must leave it, so it stands at that phase or half-way to the next.
     """
-    u, v = np.linalg.svd(axis[None])[2][1:]
+    u, v = _across(axis)
     flat = (points - points.mean(axis=0)) @ np.stack([u, v], axis=1)
     moment = np.sum((flat[:, 0] + 1j * flat[:, 1]) ** fold)
     angles = (np.angle(moment) + np.pi * np.arange(2)) / fold
     normals = [np.cos(a + np.pi / 2) * u + np.sin(a + np.pi / 2) * v for a in angles]
     return [np.eye(3) - 2 * np.outer(n, n) for n in normals]
+
+
+def faces_all_ways(axis: Array, triangles: Array) -> bool:
+    """Whether a surface (F, 3 corners, 3) faces all ways about an axis alike: no Fourier coefficient stands out."""
+    doubled = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ _across(axis).T
+    area, angle = np.linalg.norm(doubled, axis=1), np.arctan2(doubled[:, 1], doubled[:, 0])
+    waves = np.exp(1j * np.arange(1, _MOST_SIDES + 1)[:, None] * angle) @ area
+    return bool(np.abs(waves).max() < _LEAST_UNEVEN * area.sum())
+
+
+def _across(axis: Array) -> Array:
+    """(2, 3) unit vectors across an axis and each other."""
+    return np.asarray(np.linalg.svd(axis[None])[2][1:])

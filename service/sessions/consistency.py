@@ -7,6 +7,7 @@ from datetime import datetime
 import numpy as np
 
 from service.attitude.camera import Site, horizontal_direction
+from service.inference.pose import directions_apart
 from service.inference.state import Estimate
 from service.sessions.absolute import Aim
 from service.sessions.ranging import Ranged
@@ -35,7 +36,7 @@ def warnings_of(
         found.append(f"the orbit's elements are {abs(seen.elements_age_days):.0f} days from the frame")
     if aim is not None:
         towards = horizontal_direction(seen.azimuth_deg, seen.elevation_deg, site, moment)
-        apart = np.rad2deg(np.arctan2(np.linalg.norm(np.cross(aim.axis, towards)), aim.axis @ towards))
+        apart = np.rad2deg(directions_apart(aim.axis, towards))
         if apart > (_FIELD_DEG if aim.field_deg is None else aim.field_deg) + _ASIDE_DEG:
             found.append(f"the camera points {apart:.1f}° away from where the orbit puts the object")
     if ranged.scale_px is not None and ranged.bounds_px is not None:

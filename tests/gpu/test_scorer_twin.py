@@ -86,14 +86,16 @@ def test_hidden_pieces_change_nothing():
 def test_more_crossings_in_a_row_than_there_is_room_for(monkeypatch):
     crowded, score = [], OutlineScorer._score_crowded
     monkeypatch.setattr(OutlineScorer, "_score_crowded", lambda *given: crowded.append(given[0]) or score(*given))
-    tables = []  # what hides what is asked of the device once: it takes seven seconds
-    monkeypatch.setattr(
-        outline_kernels,
-        "build_table",
-        lambda *given: tables[0] if tables else tables.append(build_table(*given)) or tables[0],
-    )
     rng = np.random.default_rng(9)
     mesh = mesh_of(soup(rng, 900, 300))
+    tables = []
+
+    def built_once(*given):  # it takes seven seconds
+        if not tables:
+            tables.append(build_table(*given))
+        return tables[0]
+
+    monkeypatch.setattr(outline_kernels, "build_table", built_once)
     poses, values = transforms(rng, mesh, 1, 12.0), a_map(rng)
     assert_twins(mesh, poses, values)
     assert len(crowded) == 1 and crowded[0]._by_item is not None  # a CPU's, whose rows are of a size

@@ -42,7 +42,7 @@ def drawn(rng: np.random.Generator, mixture: Mixture, count: int, domain: Domain
     return concatenate(*poses), np.concatenate(rates)
 
 
-def mode_spread(mixture: Mixture, k: int, axes: Sequence[Axis] = ()) -> Spread:
+def mode_spread(mixture: Mixture, k: int, axes: Sequence[Axis]) -> Spread:
     """Standard deviations and covariance of one mode of a body that is round about ``axes``."""
     d = mixture.rates.shape[1]
     covariance = with_free_turn(covariance_of(mixture, k)[:d, :d], axes)

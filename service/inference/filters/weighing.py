@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.domain import Domain
-from service.inference.estimate import tangent
+from service.inference.estimate import short_way, tangent
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import turned_alike
@@ -213,9 +213,9 @@ def repainted(one: Refined, learnt: Array, hill: Hill, wrapping: NDArray[np.bool
 
 def same_mode(one: Refined, other: Refined, domain: Domain) -> bool:
     """Whether two modes are one."""
-    apart = np.abs(tangent(one.pose, other.pose, domain.wrapping)[0])
     axes = domain.articulation.round_axes
     if float(angle_apart(one.pose.quaternion, other.pose.quaternion, axes)[0]) > np.deg2rad(_SAME_DEG):
         return False
+    apart = np.abs(short_way(other.pose.joints - one.pose.joints, domain.wrapping)[0])
     wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
-    return bool(np.all(apart[6:] <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))
+    return bool(np.all(apart <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))
