@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.pose import (
     angle_between,
@@ -39,6 +40,17 @@ def angle_apart(a: Array, b: Array, axes: Sequence[Axis]) -> Array:
     if len(axes) > 1:
         return np.zeros(np.broadcast_shapes(a.shape, b.shape)[:-1])
     return directions_apart(rotation_matrices(a) @ axes[0], rotation_matrices(b) @ axes[0])
+
+
+def turned_within(quaternions: Array, apart: float, axes: Sequence[Axis]) -> NDArray[np.bool_]:
+    """(N, N) which of N quaternions are no more than ``apart`` (rad) from each other, as ``angle_apart`` tells it."""
+    if not axes:
+        near = np.cos(0.5 * apart)  # of the angle between two quaternions that far apart
+        return np.asarray(np.abs(quaternions @ quaternions.T) >= near)
+    if len(axes) > 1:
+        return np.ones((len(quaternions),) * 2, dtype=bool)
+    directions = rotation_matrices(quaternions) @ axes[0]
+    return np.asarray(directions @ directions.T >= np.cos(apart))
 
 
 def turned_freely(rng: np.random.Generator, quaternion: Array, axes: Sequence[Axis]) -> Array:

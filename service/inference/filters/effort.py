@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from service.inference.filters.given import Updated
-from service.inference.filters.status import told_existence, widths_across
+from service.inference.filters.status import told_existence
 from service.inference.model import existence, prior
+from service.inference.model.spread import PointSpread
 from service.inference.model.stages import WHOLE, Part
 from service.inference.state import Mixture
 
 _EAGER = 4  # numerical: searches of a leader, one frame after the other
 # numerical: of them for a body that is resolved, where a truth that was missed is less likely than this
 _EAGER_IF_SURE, _SURE = 2, 0.01
+_RESOLVED = 34.0  # numerical: widths of the point spread across its light
 _SOON = 3  # numerical: frames to the next search of a track that may have missed the truth
 # numerical: wrong answers that a search of a settled track is worth
 _WORTH = 0.15
@@ -32,7 +34,12 @@ def is_open(mixture: Mixture) -> bool:
     """Whether two searches may have missed the truth: of little light, blurred, of what fits worse or is not alone."""
     missed = existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
     known = mixture.ever_tracked and mixture.misses == 0 and not is_doubted(mixture)
-    return not known or missed > _SURE or widths_across(mixture) < prior.UNLIKE_ACROSS
+    return not known or missed > _SURE or widths_across(mixture) < _RESOLVED
+
+
+def widths_across(mixture: Mixture) -> float:
+    """Of the light, in widths of the point spread."""
+    return mixture.span_px / PointSpread(*mixture.point_spread).width
 
 
 def frames_between(mixture: Mixture) -> int:

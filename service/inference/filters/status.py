@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from service.inference.domain import Domain
 from service.inference.model import existence
-from service.inference.model.spread import PointSpread
 from service.inference.pose import concatenate
 from service.inference.revolution import angle_apart
 from service.inference.state import Array, Mixture, Poses
@@ -19,18 +18,13 @@ SURE = 0.9  # contract: probability from which on an answer is told as one
 _EQUIVALENT_DEG = 5.0  # contract: modes whose rotations are nearer are one answer
 
 
-def widths_across(mixture: Mixture) -> float:
-    """Of the light, in widths of the point spread."""
-    return mixture.span_px / PointSpread(*mixture.point_spread).width
-
-
 def told_existence(mixture: Mixture) -> Array:
     """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body, nor what
     a cloud makes of one.
     """
     absent, fits, no_fit = mixture.existence
     met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    kept = fits * met * existence.of_this_body(mixture.discrepancy, widths_across(mixture))
+    kept = fits * met * existence.of_this_body(mixture.discrepancy)
     kept *= 1.0 if mixture.displaced is None else 1 - mixture.displaced.probability
     return np.array([absent, kept, no_fit + fits - kept])
 

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation
-from service.inference.estimate import short_way, tangent
+from service.inference.estimate import short_way
 from service.inference.model.drawing import Drawing
 from service.inference.model.stages import Stage
 from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.hill import Hill, Looked, looked
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate
+from service.inference.revolution import Axis, angle_apart, turned_within
 from service.inference.state import Array, Poses
 
 HOPELESS = 100.0  # numerical: nats behind the best after two of the later stages' steps: none comes back
@@ -94,10 +95,15 @@ def best_of(some: Candidates, kept: int, articulation: Articulation | None = Non
     return some[order]
 
 
-def distinct(poses: Poses, apart: float, articulation: Articulation | None = None) -> NDArray[np.intp]:
-    """Indices of those that are no nearer than ``apart`` (rad) to one before them, or have joints of their own."""
-    near = np.cos(0.5 * apart)  # of the angle between two quaternions that far apart
-    alike = np.triu(np.abs(poses.quaternion @ poses.quaternion.T) >= near, 1)
+def distinct(
+    poses: Poses, apart: float, articulation: Articulation | None = None, axes: Sequence[Axis] = ()
+) -> NDArray[np.intp]:
+    """Indices of those that are no nearer than ``apart`` (rad) to one before them, or have joints of their own.
+
+    ``axes``: about which a turn changes nothing that can be seen; those of ``articulation``, where it is given.
+    """
+    axes = axes if articulation is None else articulation.round_axes
+    alike = np.triu(turned_within(poses.quaternion, apart, axes), 1)
     some, others = np.divmod(np.flatnonzero(alike), max(len(poses), 1))
     share = np.full(len(some), _TURNED_ALIKE)  # of what drives one out: all, where the joints are alike too
     if articulation is not None and articulation.n_joints:
@@ -115,9 +121,9 @@ def distinct(poses: Poses, apart: float, articulation: Articulation | None = Non
 
 def turned_alike(one: Poses, others: Poses, articulation: Articulation) -> NDArray[np.bool_]:
     """(N,) which of N poses are another look at a batch of one: where it points, and its joints."""
-    apart = np.abs(tangent(one, others, articulation.wrapping))
-    near = np.linalg.norm(apart[:, :3], axis=1) < np.deg2rad(SHARED_DEG)
-    return np.asarray(near & np.all(apart[:, 6:] < _JOINT_APART * articulation.spans, axis=1))
+    near = angle_apart(one.quaternion, others.quaternion, articulation.round_axes) < np.deg2rad(SHARED_DEG)
+    off = np.abs(short_way(others.joints - one.joints, articulation.wrapping))
+    return np.asarray(near & np.all(off < _JOINT_APART * articulation.spans, axis=1))
 
 
 def unlike(some: Candidates, others: Poses, articulation: Articulation) -> Candidates:

@@ -110,19 +110,15 @@ def missed(searches: int, misses: int = 0, *, nats: float) -> float:
     return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
 
 
-def of_this_body(discrepancy: float, across: float) -> float:
+def of_this_body(discrepancy: float) -> float:
     """Probability that the model is the body's, by the discrepancy that its frames ask for.
 
-    It is the same in all frames, so it counts once, and not frame after frame. ``across``: of the light, in widths of
-    the point spread; where they are few, what would tell another body is blurred away.
+    It is the same in all frames, so it counts once, and not frame after frame.
     """
     above = max(float(np.log(discrepancy / prior.DISCREPANCY_OWN)), 0.0)
     own = -0.5 * (above / prior.DISCREPANCY_OWN_LOG_SIGMA) ** 2 + float(np.log(2 / prior.DISCREPANCY_OWN_LOG_SIGMA))
     median, sigma = prior.DISCREPANCY_UNLIKE
-    blurred = max(float(np.log(prior.UNLIKE_ACROSS / max(across, 1.0))), 0.0)
-    slope, slope_sigma = prior.UNLIKE_SLOPE
-    sigma = float(np.hypot(sigma, slope_sigma * blurred))
-    other = -0.5 * ((float(np.log(discrepancy / median)) + slope * blurred) / sigma) ** 2 - float(np.log(sigma))
+    other = -0.5 * (float(np.log(discrepancy / median)) / sigma) ** 2 - float(np.log(sigma))
     _, fits, no_fit = prior.EXISTENCE
     return float(1 / (1 + no_fit / fits * np.exp(other - own)))
 

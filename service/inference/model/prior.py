@@ -18,8 +18,7 @@ SHIFT_SHARE = 0.3  # image shifts in turbulence, as a share of w
 CORE_PX, CORE_LOG_SIGMA = 1.2, 0.6  # s, frame px
 WINGS_SIGMA_PX = 1.5  # w, frame px
 DISCREPANCY, DISCREPANCY_LOG_SIGMA = 0.02, 0.7  # tau, before a body is known
-DISCREPANCY_LENGTH = 17.0  # patch px over which the discrepancy is alike
-DISCREPANCY_LEAST = 18.0  # pixels' areas over which it is alike, at the least
+DISCREPANCY_LENGTH = 17.0  # px of a patch as fine as is wanted over which the discrepancy is alike: a share of the body
 PHOTON_SHARE, PHOTON_LOG_SIGMA = 0.7, 0.7  # variance per count, of what a frame's checkerboard has, and its log: edges
 # leak into it (of 52 frames of 26 passes against the differences of two frames: -0.4 +- 0.6)
 PHOTON_UNSURE = 1.5  # a factor within which the transfer is known once a body is seen
@@ -35,9 +34,8 @@ LOG_CHI2 = (0.1, 1.0)  # mean, sigma from body to body of the level of log chi2
 LOG_CHI2_JITTER, LOG_CHI2_DRIFT = 0.35, 0.1  # from frame to frame of one body about its level, and of that level
 LOG_CHI2_DISTURBED = (2.0, 1.5)  # above its level, when a cloud or a mirror changes what is seen of a body
 DISCREPANCY_OWN, DISCREPANCY_OWN_LOG_SIGMA = 0.005, 0.7  # tau under a body's own mesh: its least, or above it
-DISCREPANCY_UNLIKE = 0.055, 0.5  # of another's light that a mesh seems to fit: log-normal, median and log sigma
-UNLIKE_ACROSS, UNLIKE_SLOPE = 34.0, (1.0, 0.75)  # that log falls by 1 +- 0.75 per log of the light's extent in widths
-# of the point spread, below 34 of them: of 49 passes followed with another mesh, a third of them in turbulence
+DISCREPANCY_UNLIKE = 0.06, 0.6  # of another's light that a mesh seems to fit: log-normal, median and log sigma: of 86
+# passes followed with another mesh, 17 to 250 px
 UNLIKE = 0.3  # tau of light that another body throws
 SEARCH_WEIGHT = 2.5  # searches that what is known of the share of them that meet the truth is worth, from body to body
 SEARCH_HALF = 170.0  # nats of a body against the empty sky with which half of them do: of 162 frames looked at alone,

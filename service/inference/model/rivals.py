@@ -102,5 +102,5 @@ def rivals(
         return []
     out = ascend(followed.hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
     out.sort(key=lambda one: -one.log_posterior)
-    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG))
+    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG), axes=articulation.round_axes)
     return [out[k] for k in kept]

@@ -65,7 +65,7 @@ class Scene:
     @cached_property
     def alike(self) -> float:
         """c: pixels' areas over which the discrepancy is alike."""
-        return max(prior.DISCREPANCY_LEAST, (self.grain * prior.DISCREPANCY_LENGTH) ** 2 / self.area)
+        return max(1.0, (self.grain * prior.DISCREPANCY_LENGTH) ** 2 / self.area)
 
     @property
     def hidden(self) -> float:

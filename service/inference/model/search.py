@@ -207,7 +207,8 @@ def finished(
     out = [one for one in out if one.log_posterior > out[0].log_posterior - HOPELESS]
     out += shaken(clear, hill, out[0]) if shake else []
     out.sort(key=lambda one: -one.log_posterior)
-    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG))
+    axes = body.fine.articulation.round_axes
+    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG), axes=axes)
     return Found([out[k] for k in kept], hill, nuisance)
 
 

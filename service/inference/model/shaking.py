@@ -47,7 +47,7 @@ def shaken(clear: Hill, hill: Hill, one: Refined) -> list[Refined]:
     near = joined([around(clear, one, steps)[:most] for steps, most in kinds if len(steps)])
     out = ascend(hill, near.poses, near.suns, steps=_TRIAL_STEPS, covariance="none")
     out = sorted(out, key=lambda tried: -tried.log_posterior)[:_SHAKEN_KEPT]
-    out = [tried for tried in out if tried.log_posterior > one.log_posterior + _BETTER or apart(tried, one)]
+    out = [tried for tried in out if tried.log_posterior > one.log_posterior + _BETTER or apart(hill, tried, one)]
     if not out:
         return []
     poses, suns = concatenate(*[tried.pose for tried in out]), np.stack([tried.sun for tried in out])
@@ -64,9 +64,10 @@ def turns_of_joints(hill: Hill, d: int) -> Array:
     return np.concatenate(out) if out else np.zeros((0, d))
 
 
-def apart(one: Refined, other: Refined) -> bool:
+def apart(hill: Hill, one: Refined, other: Refined) -> bool:
     """Whether two poses are two basins."""
-    return len(distinct(concatenate(one.pose, other.pose), np.deg2rad(SAME_DEG))) > 1
+    axes = hill.drawing.articulation.round_axes
+    return len(distinct(concatenate(one.pose, other.pose), np.deg2rad(SAME_DEG), axes=axes)) > 1
 
 
 def around(hill: Hill, one: Refined, steps: Array) -> Candidates:

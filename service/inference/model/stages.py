@@ -172,7 +172,7 @@ def stage_hill(
     """What poses climb on at a stage; no finer than the point spread lets anything through."""
     blurred = SAMPLED * sight.span / nuisance.point_spread(1).width
     patch = sight.cut(sight.span, min(stage.wanted, blurred))
-    grain = max(1.0, sight.span / stage.wanted) / patch.binning
+    grain = sight.span / stage.wanted / patch.binning  # less than 1 where the light spans fewer px than are wanted
     spread = nuisance.point_spread(patch.binning)
     scene = Scene(
         patch.image,
@@ -183,7 +183,7 @@ def stage_hill(
         spread,
         max(nuisance.discrepancy, stage.off),
         speckle,
-        max(grain * stage.low_pass, prior.LOW_PASS_SHARE * spread.width),
+        max(max(grain, 1.0 / patch.binning) * stage.low_pass, prior.LOW_PASS_SHARE * spread.width),
         grain=grain,
         starry=patch.stars,
         starry_alone=patch.stars_alone,

@@ -142,9 +142,6 @@ def test_a_body_no_larger_than_a_star_is_followed_however_large_the_patch_it_is_
 
 
 def test_the_discrepancy_that_frames_ask_for_tells_a_body_from_another():
-    told, blurred = (
-        [existence.of_this_body(tau, n) for tau in (0.005, 0.01, 0.02, 0.03, 0.04, 0.08)] for n in (60.0, 15.0)
-    )
-    assert told == sorted(told, reverse=True) and blurred == sorted(blurred, reverse=True)
+    told = [existence.of_this_body(tau) for tau in (0.005, 0.01, 0.02, 0.03, 0.04, 0.08)]
+    assert told == sorted(told, reverse=True)
     assert told[1] > 0.98 and told[2] > 0.9 and 0.2 < told[3] < 0.8 and told[5] < 0.02
-    assert blurred[0] > 0.98 and blurred[2] < 0.8  # another body's details may be those that are blurred away

@@ -9,9 +9,10 @@ from service.inference.articulation import Articulation
 from service.inference.domain import Domain
 from service.inference.filters.answer import drawn, estimate_of
 from service.inference.filters.status import status_of, told_existence
+from service.inference.model.candidates import distinct, turned_alike
 from service.inference.params import PriorParams
 from service.inference.pose import angle_between, exp_so3, log_so3, multiply
-from service.inference.revolution import angle_apart, turned_freely, turned_round, with_free_turn
+from service.inference.revolution import angle_apart, turned_freely, turned_round, turned_within, with_free_turn
 from service.inference.state import Poses
 
 AXIS = (0.6, 0.0, 0.8)
@@ -30,6 +31,25 @@ def test_the_angle_apart_is_the_least_over_all_turns_about_the_axis():
     assert angle_apart(a, b, (AXIS,)) == pytest.approx(least, abs=1e-3)
     assert angle_apart(a, b, ()) == pytest.approx(angle_between(a, b))
     assert not angle_apart(a[:, None], b[None], BALL).any()
+
+
+@pytest.mark.parametrize("axes", [(), (AXIS,), BALL])
+def test_those_within_an_angle_are_those_whose_angle_apart_is_less(axes):
+    some = any_turns(30, 2)
+    apart = angle_apart(some[:, None], some[None], axes)
+    assert np.array_equal(turned_within(some, 0.7, axes), apart <= 0.7)
+
+
+def test_poses_that_only_turn_a_round_body_about_its_axis_are_one_basin_and_one_look():
+    turns = np.deg2rad([0.0, 3.0, 60.0, 180.0])[:, None]
+    about = Poses(exp_so3(turns * np.array(AXIS)), np.zeros((4, 2)), np.zeros(4), np.zeros((4, 0)))
+    assert distinct(about, np.deg2rad(5.0)).tolist() == [0, 2, 3]
+    assert distinct(about, np.deg2rad(5.0), axes=(AXIS,)).tolist() == [0]
+    assert distinct(about, np.deg2rad(5.0), axes=((0.8, 0.0, -0.6),)).tolist() == [0, 2, 3]
+    body = Articulation((), round_axes=(AXIS,))
+    assert distinct(about, np.deg2rad(5.0), body).tolist() == [0]
+    assert turned_alike(about[:1], about, body).tolist() == [True] * 4
+    assert turned_alike(about[:1], about, Articulation(())).tolist() == [True, True, False, False]
 
 
 @pytest.mark.parametrize("axes", [(AXIS,), BALL])
