@@ -34,8 +34,8 @@ LOG_CHI2 = (0.1, 1.0)  # mean, sigma from body to body of the level of log chi2
 LOG_CHI2_JITTER, LOG_CHI2_DRIFT = 0.35, 0.1  # from frame to frame of one body about its level, and of that level
 LOG_CHI2_DISTURBED = (2.0, 1.5)  # above its level, when a cloud or a mirror changes what is seen of a body
 DISCREPANCY_OWN, DISCREPANCY_OWN_LOG_SIGMA = 0.005, 0.7  # tau under a body's own mesh: its least, or above it
-DISCREPANCY_UNLIKE = 0.06, 0.6  # of another's light that a mesh seems to fit: log-normal, median and log sigma: of 86
-# passes followed with another mesh, 17 to 250 px
+DISCREPANCY_UNLIKE = 0.06, 0.6  # of another's light that a mesh seems to fit: log-normal, median and log sigma, of 86
+# passes followed with another mesh, 17 to 200 px
 UNLIKE = 0.3  # tau of light that another body throws
 SEARCH_WEIGHT = 2.5  # searches that what is known of the share of them that meet the truth is worth, from body to body
 SEARCH_HALF = 170.0  # nats of a body against the empty sky with which half of them do: of 162 frames looked at alone,

@@ -12,7 +12,6 @@ from service.inference.model.candidates import (
     Candidates,
     best_of,
     climbed,
-    distinct,
     joined,
     looked_at,
     scored,
@@ -21,13 +20,12 @@ from service.inference.model.candidates import (
 from service.inference.model.lookalikes import boxed, equivalents
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.search import BEHIND, BOXED, MORE_SUNS, started, under
-from service.inference.model.shaking import SAME_DEG
+from service.inference.model.shaking import best_of_each
 from service.inference.model.stages import CLEAR, FINEST, MIDDLE, SHARP, Body, Part, Sight, stage_hill
 from service.inference.model.templates import Bank
 from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import concatenate
 from service.inference.state import Poses
 
 
@@ -101,6 +99,4 @@ def rivals(
     if not len(some):
         return []
     out = ascend(followed.hill, some.poses, some.suns, steps=FINEST.steps, covariance="last", hopeless=HOPELESS)
-    out.sort(key=lambda one: -one.log_posterior)
-    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG), axes=articulation.round_axes)
-    return [out[k] for k in kept]
+    return best_of_each(out, articulation.round_axes)

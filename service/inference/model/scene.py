@@ -33,7 +33,7 @@ class Scene:
     discrepancy: float = prior.DISCREPANCY  # tau
     shifts: bool = True  # whether speckle and image shifts are unknowns: not worth their time in a coarse look
     low_pass: float = 0.0  # l, px; 0: as the point spread asks
-    grain: float = 1.0  # px in which lengths of the discrepancy are told: a patch may be coarser where all is blurred
+    grain: float = 1.0  # px in which lengths of the discrepancy are told: a share of the body, on any patch
     light: prior.LightPrior = field(default_factory=prior.LightPrior)
     starry: NDArray[np.uint8] | None = None  # (S, S) numbers of light that may be a star's, 0 elsewhere
     starry_alone: NDArray[np.uint8] | None = None  # (S, S) the same where the object is absent; None: no more

@@ -13,7 +13,6 @@ from service.inference.model.candidates import (
     Candidates,
     best_of,
     climbed,
-    distinct,
     joined,
     looked_at,
     scored,
@@ -25,7 +24,7 @@ from service.inference.model.expected import lit_box
 from service.inference.model.lookalikes import BETWEEN_JOINTS, boxed, equivalents, scattered
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_hidden, best_photon, best_spread
 from service.inference.model.proposing import propose, turns
-from service.inference.model.shaking import SAME_DEG, shaken
+from service.inference.model.shaking import best_of_each, shaken
 from service.inference.model.stages import (
     CLEAR,
     FINEST,
@@ -44,7 +43,6 @@ from service.inference.model.templates import Bank, directions
 from service.inference.numerics.gauss_newton import ascend, stepped
 from service.inference.numerics.hill import Hill, Looked, Refined, looked
 from service.inference.numerics.priors import PosePrior
-from service.inference.pose import concatenate
 from service.inference.state import Poses
 
 BANK_SIZE = 4500  # numerical: rotations 12 degrees apart; as many again for each joint, three times at the most
@@ -206,10 +204,7 @@ def finished(
     out.sort(key=lambda one: -one.log_posterior)
     out = [one for one in out if one.log_posterior > out[0].log_posterior - HOPELESS]
     out += shaken(clear, hill, out[0]) if shake else []
-    out.sort(key=lambda one: -one.log_posterior)
-    axes = body.fine.articulation.round_axes
-    kept = distinct(concatenate(*[one.pose for one in out]), np.deg2rad(SAME_DEG), axes=axes)
-    return Found([out[k] for k in kept], hill, nuisance)
+    return Found(best_of_each(out, body.fine.articulation.round_axes), hill, nuisance)
 
 
 def finest_hill(

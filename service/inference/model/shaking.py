@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from service.inference.model.candidates import Candidates, distinct, joined, scored, searched_joints
@@ -9,6 +11,7 @@ from service.inference.model.stages import FINEST
 from service.inference.numerics.gauss_newton import ascend, stepped
 from service.inference.numerics.hill import Hill, Refined
 from service.inference.pose import concatenate
+from service.inference.revolution import Axis
 from service.inference.state import Array
 
 SAME_DEG = 2.0  # numerical: after refinement
@@ -64,10 +67,16 @@ def turns_of_joints(hill: Hill, d: int) -> Array:
     return np.concatenate(out) if out else np.zeros((0, d))
 
 
+def best_of_each(some: Sequence[Refined], axes: Sequence[Axis]) -> list[Refined]:
+    """The best of each basin, best first. ``axes``: of a body of revolution."""
+    ordered = sorted(some, key=lambda one: -one.log_posterior)
+    kept = distinct(concatenate(*[one.pose for one in ordered]), np.deg2rad(SAME_DEG), axes=axes)
+    return [ordered[k] for k in kept]
+
+
 def apart(hill: Hill, one: Refined, other: Refined) -> bool:
     """Whether two poses are two basins."""
-    axes = hill.drawing.articulation.round_axes
-    return len(distinct(concatenate(one.pose, other.pose), np.deg2rad(SAME_DEG), axes=axes)) > 1
+    return len(best_of_each([one, other], hill.drawing.articulation.round_axes)) > 1
 
 
 def around(hill: Hill, one: Refined, steps: Array) -> Candidates:

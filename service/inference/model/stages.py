@@ -183,7 +183,7 @@ def stage_hill(
         spread,
         max(nuisance.discrepancy, stage.off),
         speckle,
-        max(max(grain, 1.0 / patch.binning) * stage.low_pass, prior.LOW_PASS_SHARE * spread.width),
+        max(grain * stage.low_pass, stage.low_pass / patch.binning, prior.LOW_PASS_SHARE * spread.width),
         grain=grain,
         starry=patch.stars,
         starry_alone=patch.stars_alone,
