@@ -21,7 +21,14 @@ from service.inference.symmetry import Symmetry
 from service.models.joint_fields import triple
 from service.models.silhouettes import TooIntricateError
 from service.models.symmetric_joints import extend, joint_twins, mirrored_rest
-from service.models.symmetry_group import close_group, contains, with_joint_twins
+from service.models.symmetry_group import (
+    FEW_ELEMENTS,
+    MAX_ELEMENTS,
+    contains,
+    extended,
+    identity,
+    with_joint_twins,
+)
 from service.models.symmetry_matrices import (
     ALIKE_DEG,
     angle_deg,
@@ -59,7 +66,7 @@ class _Match:
 
 
 def find_symmetries(mesh: Mesh, articulation: Articulation) -> tuple[Symmetry, ...]:
-    """Every symmetry but the identity that the silhouette keeps, closed under composition (at most 15).
+    """Every symmetry but the identity that the silhouette keeps, closed under composition (at most 47, a cube's).
 
     Joints are by position in ``articulation.joints``; a sign of 0 marks a symmetry that holds only while that
     joint stands at the value of its shift (``symmetry_group.held_symmetries`` sorts them out for a session).
@@ -88,7 +95,7 @@ def _searched(trials: Trials) -> ModelSymmetries:
     twins = joint_twins(trials)
     matches, round_axes = _matches(trials)
     bodies = _with_joints(trials, matches)
-    group = _verified_group(trials, bodies)
+    group = _verified_group(trials, bodies, FEW_ELEMENTS if round_axes else MAX_ELEMENTS)
     joints = trials.articulation.joints
     triangles = _triangles(trials.mesh)
     truly = [not joints and faces_all_ways(axis, triangles) for axis in round_axes]
@@ -179,16 +186,16 @@ def _with_joints(trials: Trials, matches: Sequence[_Match]) -> list[Symmetry]:
     return found
 
 
-def _verified_group(trials: Trials, generators: Sequence[Symmetry]) -> tuple[Symmetry, ...]:
+def _verified_group(trials: Trials, generators: Sequence[Symmetry], limit: int) -> tuple[Symmetry, ...]:
     """The largest group that grows from the generators in order and whose every element looks the same."""
     joints = trials.articulation.joints
-    group: tuple[Symmetry, ...] = ()
+    group = [identity(len(joints))]
     for generator in generators:
-        larger = close_group([*group, generator], joints)
-        new = [s for s in larger if s is not generator and not contains(group, s, joints)]
-        if all(trials.holds(s) for s in new):
+        larger = extended(group, generator, joints, limit)
+        new = [s for s in larger or () if s is not generator and not contains(group, s, joints)]
+        if larger is not None and all(trials.holds(s) for s in new):
             group = larger
-    return group
+    return tuple(group[1:])
 
 
 def _found(matches: Sequence[_Match], matrix: Array) -> bool:

@@ -15,7 +15,8 @@ from service.inference.symmetry import Symmetry
 from service.models.joint_fields import FULL_TURN_DEG, triple
 from service.models.symmetry_matrices import ALIKE_DEG, angle_deg
 
-MAX_ELEMENTS = 16  # with the identity
+MAX_ELEMENTS = 48  # with the identity: a cube has as many
+FEW_ELEMENTS = 16  # numerical: of a round outline, quarters of whose turns say enough; of a body with its joints' own
 _ALIKE_SHARE = 0.01  # of a joint's range, or of a turn: two values closer than this are one
 
 
@@ -100,7 +101,7 @@ def close_group(
     """
     group = [identity(len(joints))]
     for generator in generators:
-        larger = _extended(group, generator, joints, limit)
+        larger = extended(group, generator, joints, limit)
         group = group if larger is None else larger
     return tuple(group[1:])
 
@@ -115,14 +116,14 @@ def with_joint_twins(
     alone = close_group(bodies, joints)
     together = [identity(len(joints)), *alone]
     for twin in twins:
-        larger = _extended(together, twin, joints, MAX_ELEMENTS)
+        larger = extended(together, twin, joints, FEW_ELEMENTS)
         if larger is None:
             return (*alone, *twins)
         together = larger
     return tuple(together[1:])
 
 
-def _extended(
+def extended(
     group: Sequence[Symmetry], generator: Symmetry, joints: Sequence[Joint], limit: int
 ) -> list[Symmetry] | None:
     """The closure of ``group`` and one more element, or None if it has more than ``limit``."""

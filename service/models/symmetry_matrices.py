@@ -10,6 +10,7 @@ from service.inference.state import Array
 FOLDS = (2, 4, 3, 6, 8)  # in the order in which they join a symmetry group
 ALIKE_DEG = 10.0  # closer than this, two matrices are two estimates of one symmetry
 _SAME_AXES_DEG = 1.0
+_MIRRORED = 1.9  # below 2, the least distance (Frobenius) of two orthogonal matrices of unlike determinants
 # Of a prism of so many sides that is meant as such: light tells its sides apart. More are meant to be round.
 _MOST_SIDES = 24
 _LEAST_UNEVEN = 0.15  # share of the area: of an even spread of sides 0, of a prism's 1
@@ -46,10 +47,10 @@ def turn(axis: Array, fold: float) -> Array:
 
 def angle_deg(a: Array, b: Array) -> float:
     """Angle between two orthogonal matrices of the same determinant; 180 if the determinants differ."""
-    if np.linalg.det(a) * np.linalg.det(b) < 0:
+    chord = float(np.linalg.norm(a - b))
+    if chord > _MIRRORED and np.linalg.det(a) * np.linalg.det(b) < 0:
         return 180.0
-    chord = float(np.linalg.norm(a - b)) / np.sqrt(8.0)
-    return float(np.rad2deg(2 * np.arcsin(min(1.0, chord))))
+    return float(np.rad2deg(2 * np.arcsin(min(1.0, chord / np.sqrt(8.0)))))
 
 
 def mirrors_along(axis: Array, points: Array, fold: int) -> list[Array]:

@@ -28,6 +28,8 @@ from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.priors import PosePrior
 from service.inference.state import Poses
 
+_CLIMBING = 24  # numerical: of what is met, what looks like it and what leads, the best that climb
+
 
 @dataclass(frozen=True)
 class Followed:
@@ -93,7 +95,7 @@ def rivals(
         some = joined([some, unlike(equivalents(some, alike), followed.modes.poses, articulation)])
     clear = stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True)
     every = joined([some, followed.modes[:1]])
-    every = climbed(clear, looked_at(clear, every)[0], replace(CLEAR, kept=len(every)), HOPELESS)
+    every = climbed(clear, looked_at(clear, every)[0], replace(CLEAR, kept=_CLIMBING), HOPELESS)
     every = every[np.flatnonzero(every.found > every.found[0] - HOPELESS)]
     some = unlike(every, followed.modes.poses, articulation)
     if not len(some):
