@@ -38,6 +38,10 @@ def simulate(
     ground: Annotated[
         float, typer.Option(min=0, max=10, help="Brightest of a ground behind the body, in white facets in the Sun.")
     ] = 0.0,
+    path_traced: Annotated[bool, typer.Option("--path-traced", help="Light by Mitsuba, a path tracer.")] = False,
+    mesh_error: Annotated[
+        float, typer.Option(min=0, max=0.5, help="How far the body is from the mesh: of its pieces' sizes.")
+    ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON about each pass.")] = False,
 ) -> None:
     """Make a simulated pass: background and frames as PNG, truth.csv, case.json and the mesh."""
@@ -52,6 +56,7 @@ def simulate(
     if random:
         for k in range(random):
             scenario = before_ground(random_scenario(materials, pass_seed(seed, k), wanted, frames), ground)
+            scenario = replace(scenario, path_traced=path_traced, mesh_error=mesh_error)
             _write_all(models[k % len(models)], scenario, overs, out / f"pass_{k:03d}", joints, as_json)
         return
     if preset not in PRESETS:
@@ -60,6 +65,7 @@ def simulate(
         raise typer.BadParameter("several meshes need --random", param_hint="--mesh")
     scenario = replace(PRESETS[preset](), seed=seed, materials=known_materials(materials))
     scenario = before_ground(replace(scenario, size=wanted or scenario.size), ground)
+    scenario = replace(scenario, path_traced=path_traced, mesh_error=mesh_error)
     if frames is not None:
         scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
     _write_all(models[0], scenario, overs, out, joints, as_json)
@@ -122,6 +128,7 @@ def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | Non
     from service.errors import ConfigError, InputError
     from service.simulate.folder import describe, write_sequence
     from service.simulate.overflight import OverflightError
+    from service.simulate.path_tracing import PathTracingMissingError
     from service.simulate.sequence import SimulatedPass
 
     if scenario.motion.joints is None:
@@ -129,7 +136,7 @@ def _write(model: ModelFile, scenario: Scenario, folder: Path, joints: str | Non
         scenario = replace(scenario, motion=replace(scenario.motion, joints=moving))
     try:
         simulated = SimulatedPass(model.mesh, model.articulation, scenario)
-    except (OverflightError, InputError, ConfigError) as error:
+    except (OverflightError, PathTracingMissingError, InputError, ConfigError) as error:
         raise typer.BadParameter(str(error)) from error
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(str(folder), total=None)

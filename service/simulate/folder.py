@@ -80,6 +80,8 @@ def describe(simulated: SimulatedPass, name: str, mesh_name: str) -> dict[str, A
         "dt_s": scenario.motion.frame_interval_s,
         "note": scenario.note,
         "materials": scenario.materials,
+        **({"path_traced": True} if scenario.path_traced else {}),
+        **({"mesh_error": scenario.mesh_error} if scenario.mesh_error else {}),
         "joints": [_joint_entry(simulated, joint) for joint in moving_joints(simulated)],
         "light": {"towards_sun": [round(float(value), 6) for value in simulated.light(0).direction()]},
         "scale_prior": {"px": round(simulated.told_scale, 6), "relative_sigma": RANGE_ERROR},

@@ -50,7 +50,7 @@ def mixed(mesh: Mesh, rng: np.random.Generator) -> Surface:
     """Paint, dark panels and rough metal on the ten largest pieces of each part, one paint on all others."""
     drawn = [_draw_paint(rng)]
     material = np.zeros(mesh.n_faces, dtype=np.int64)
-    area = _areas(mesh)
+    area = face_areas(mesh)
     for part in range(len(mesh.parts)):
         faces = np.flatnonzero(mesh.part_of == part)
         _, of_face = np.unique(mesh.pieces[faces], return_inverse=True)
@@ -84,7 +84,8 @@ def _draw_metal(rng: np.random.Generator) -> _Material:
     return _Material(rng.uniform(0.02, 0.08), rng.uniform(0.6, 0.9), rng.uniform(0.15, 0.45))
 
 
-def _areas(mesh: Mesh) -> Floats:
+def face_areas(mesh: Mesh) -> Floats:
+    """(F,) areas of the faces."""
     corners = np.vstack([part.vertices for part in mesh.parts])[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(0.5 * np.linalg.norm(normal, axis=1))

@@ -35,6 +35,10 @@ class Scenario:
     """The sun and the Earth."""
     materials: Materials = "painted"
     """What the body is made of: ``painted``, or ``mixed`` as real spacecraft are."""
+    path_traced: bool = False
+    """Drawn by a path tracer (``path_tracing``) instead of facet by facet."""
+    mesh_error: float = 0.0
+    """How far the body is from its mesh: standard deviation of the log of its pieces' sizes (``wrong_mesh``)."""
     overflight: Overflight | None = None
     """A real satellite over a real place: then Sun, Earth, scale and the camera's turning are theirs."""
     air: Air = field(default_factory=Air)

@@ -13,16 +13,21 @@ from service.simulate.atmosphere import Atmosphere
 from service.simulate.camera import Image, Sensor
 from service.simulate.motion import Track, plan_track
 from service.simulate.overflight import follow, seen, told
+from service.simulate.path_tracing import PathTracer
 from service.simulate.render import Light, Picture, Renderer
 from service.simulate.scenario import Scenario
+from service.simulate.wrong_mesh import misshapen
 
-_MOTION, _PAINT, _AIR, _STARS, _NOISE, _BACKGROUND_NOISE, _RANGE = range(7)
+_MOTION, _PAINT, _AIR, _STARS, _NOISE, _BACKGROUND_NOISE, _RANGE, _SHAPE = range(8)
 _OWN = (_AIR, _STARS, _NOISE, _BACKGROUND_NOISE, _RANGE)  # each telescope's
 RANGE_ERROR = 0.03  # relative, of a scale that a range, a plate scale and the mesh's unit make
 
 
 class SimulatedPass:
-    """One pass. Its images are made when they are asked for; every iteration makes the same ones."""
+    """One pass. Its images are made when they are asked for; every iteration makes the same ones.
+
+    Raises ``PathTracingMissingError`` where one is to be path-traced and Mitsuba is not installed.
+    """
 
     def __init__(self, mesh: Mesh, articulation: Articulation, scenario: Scenario) -> None:
         self.scenario = scenario
@@ -39,7 +44,9 @@ class SimulatedPass:
         over = scenario.overflight
         self.looks = [] if over is None else follow(over, track.time_s.tolist(), scenario.light)
         self.track: Track = track if over is None else seen(track, self.looks, told(over, scenario.light))
-        self._renderer = Renderer(mesh, articulation, self._rng(_PAINT), scenario.materials)
+        body = misshapen(mesh, self._rng(_SHAPE), scenario.mesh_error)
+        draw = PathTracer if scenario.path_traced else Renderer
+        self._renderer = draw(body, articulation, self._rng(_PAINT), scenario.materials)
 
     @property
     def told_scale(self) -> float:
