@@ -13,8 +13,8 @@ def rows_of_boxes(boxes=400):
     small = [trimesh.creation.box([0.1] * 3).apply_translation((0.3 * k, 0, 0)) for k in range(boxes)]
     large = trimesh.creation.box([10.0] * 3).apply_translation((0, 40, 0))
     whole, single = trimesh.util.concatenate([large, *small]), trimesh.creation.box([2.0] * 3)
-    parts = tuple(Part(n, np.asarray(s.vertices), s.faces.astype(np.int32)) for n, s in dict(a=whole, b=single).items())
-    return Mesh(parts, (0, 0, 0), (1, 1, 1), 60.0, True)
+    parts = [Part(n, np.asarray(s.vertices), s.faces.astype(np.int32)) for n, s in (("a", whole), ("b", single))]
+    return Mesh(tuple(parts), (0, 0, 0), (1, 1, 1), 60.0, True)
 
 
 def test_without_an_error_it_is_the_mesh():
