@@ -52,11 +52,14 @@ def simulate(
 
     overs = read_overflights(site or (), tle, time, up_angle)
     models = [read_model_file(name) for name in mesh or ["demo"]]
+
+    def asked(scenario: Scenario) -> Scenario:
+        return replace(before_ground(scenario, ground), path_traced=path_traced, mesh_error=mesh_error)
+
     wanted = None if size is None else parse_size(size)
     if random:
         for k in range(random):
-            scenario = before_ground(random_scenario(materials, pass_seed(seed, k), wanted, frames), ground)
-            scenario = replace(scenario, path_traced=path_traced, mesh_error=mesh_error)
+            scenario = asked(random_scenario(materials, pass_seed(seed, k), wanted, frames))
             _write_all(models[k % len(models)], scenario, overs, out / f"pass_{k:03d}", joints, as_json)
         return
     if preset not in PRESETS:
@@ -64,8 +67,7 @@ def simulate(
     if len(models) != 1:
         raise typer.BadParameter("several meshes need --random", param_hint="--mesh")
     scenario = replace(PRESETS[preset](), seed=seed, materials=known_materials(materials))
-    scenario = before_ground(replace(scenario, size=wanted or scenario.size), ground)
-    scenario = replace(scenario, path_traced=path_traced, mesh_error=mesh_error)
+    scenario = asked(replace(scenario, size=wanted or scenario.size))
     if frames is not None:
         scenario = replace(scenario, motion=replace(scenario.motion, frames=frames))
     _write_all(models[0], scenario, overs, out, joints, as_json)

@@ -92,16 +92,14 @@ def nearest_turn(joint: Joint, sign: float, shift: float) -> float:
     return float(small + max(turns, key=lambda turn: reachable(joint, sign, small + turn)))
 
 
-def close_group(
-    generators: Sequence[Symmetry], joints: Sequence[Joint], limit: int = MAX_ELEMENTS
-) -> tuple[Symmetry, ...]:
-    """All compositions of the generators but the identity, as long as there are at most ``limit``.
+def close_group(generators: Sequence[Symmetry], joints: Sequence[Joint]) -> tuple[Symmetry, ...]:
+    """All compositions of the generators but the identity, as long as there are at most ``MAX_ELEMENTS``.
 
     A generator, in the given order, that would make the group larger is left out: what is kept stays a group.
     """
     group = [identity(len(joints))]
     for generator in generators:
-        larger = extended(group, generator, joints, limit)
+        larger = extended(group, generator, joints, MAX_ELEMENTS)
         group = group if larger is None else larger
     return tuple(group[1:])
 

@@ -20,23 +20,22 @@ def misshapen(mesh: Mesh, rng: np.random.Generator, error: float) -> Mesh:
     """
     if error <= 0:
         return mesh
-    pieces, vertices, faces = mesh.pieces, np.vstack([part.vertices for part in mesh.parts]), mesh.faces
-    area = face_areas(mesh)
-    parts, first = [], 0
-    missing = rng.random(pieces.max() + 1) < _CHANCE_MISSING
-    stretch = np.exp(error * rng.standard_normal((pieces.max() + 1, 3)))
-    shift = _SHIFT * error * mesh.radius * rng.standard_normal((pieces.max() + 1, 3))
+    pieces, area = mesh.pieces, face_areas(mesh)
+    count = int(pieces.max()) + 1
+    missing = rng.random(count) < _CHANCE_MISSING
+    stretch = np.exp(error * rng.standard_normal((count, 3)))
+    shift = _SHIFT * error * mesh.radius * rng.standard_normal((count, 3))
+    parts = []
     for number, part in enumerate(mesh.parts):
         own = mesh.part_of == number
         of_face, kept = pieces[own], np.ones(len(part.faces), bool)
-        size = np.bincount(of_face, area[own], len(missing)) / area.sum()
+        size = np.bincount(of_face, area[own], count) / area.sum()
         moved = part.vertices.copy()
         for piece in np.unique(of_face):
-            at = np.unique(faces[own][of_face == piece]) - first
-            middle = vertices[first + at].mean(axis=0)
+            at = np.unique(part.faces[of_face == piece])
+            middle = part.vertices[at].mean(axis=0)
             moved[at] = middle + stretch[piece] * (part.vertices[at] - middle) + shift[piece]
             if missing[piece] and size[piece] < _SMALL and size[piece] < size.max():
                 kept[of_face == piece] = False
         parts.append(replace(part, vertices=moved, faces=part.faces[kept]))
-        first += len(part.vertices)
     return replace(mesh, parts=tuple(parts))
