@@ -16,7 +16,19 @@ from numpy.typing import NDArray
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.evidence_groups import Asked, EvidenceGroups
 from gpu.evidence_terms import LANES, HostInputs, Terms, inputs_of
-from gpu.program import KernelArgument, Scratch, build, constant, device_errors, lent, take_back, work_items, zero
+from gpu.program import (
+    Kernel,
+    KernelArgument,
+    Scratch,
+    build,
+    constant,
+    device_errors,
+    landed,
+    landing,
+    lent,
+    work_items,
+    zero,
+)
 from gpu.shaded_reference import EVEN_PLANES
 
 Numbers = NDArray[np.float32]
@@ -77,7 +89,7 @@ class LightEvidence:
                 self._groups = EvidenceGroups(cl.CommandQueue(context, properties=timed))
                 return
             self._queue, self._context, self._memory = cl.CommandQueue(context), context, Scratch(context)
-            self._kernel = cl.Kernel(build(context, *FILES, options=[f"-DEVEN_PLANES={EVEN_PLANES}"]), "evidence")
+            self._kernel = Kernel(build(context, *FILES, options=[f"-DEVEN_PLANES={EVEN_PLANES}"]), "evidence")
 
     def evidence(
         self,
@@ -92,19 +104,19 @@ class LightEvidence:
         ``terms``: of all poses, or of each its own, which may differ in priors, point spread, discrepancy and
         photons. Each is of the planes that ``which`` says, in order where nothing is said.
         """
-        return self._run(planes, n_groups, terms if isinstance(terms, Sequence) else [terms], rounds, None, which)
+        several = terms if isinstance(terms, Sequence) else [terms]
+        return _answers(*self._run(planes, n_groups, several, rounds, (), which))
 
     def details(
         self, planes: Numbers, n_groups: int, terms: Terms, rounds: int, which: Sequence[int] | None = None
     ) -> tuple[Answers, list[Details]]:
         """The same, and what each pose's curvature is made of."""
         _, n_planes, side, _ = planes.shape
-        n = len(planes) if which is None else len(which)
         unknowns, pixels = self._unknowns(n_planes, terms), side * side
-        out = np.empty((n, LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 4)), np.float32)
-        answers = self._run(planes, n_groups, [terms], rounds, out, which)
+        size = LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 4)
+        *answers, out = self._run(planes, n_groups, [terms], rounds, (size,), which)
         always = unknowns - (n_planes - EVEN_PLANES)
-        return answers, [_details(Row(out, k, unknowns), always, side) for k in range(n)]
+        return _answers(*answers), [_details(Row(out, k, unknowns), always, side) for k in range(len(out))]
 
     def close(self) -> None:
         """Wait for the device and give its memory back."""
@@ -124,9 +136,10 @@ class LightEvidence:
         n_groups: int,
         several: Sequence[Terms],
         rounds: int,
-        details: Numbers | None,
+        details: tuple[int, ...],
         which: Sequence[int] | None = None,
-    ) -> Answers:
+    ) -> list[Numbers]:
+        """What answers are made of, and with ``details`` as many numbers more of each pose."""
         _, n_planes, side, _ = planes.shape
         numbers, terms = range(len(planes)) if which is None else which, several[0]
         n = len(numbers)
@@ -134,48 +147,48 @@ class LightEvidence:
             raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
         unknowns = self._unknowns(n_planes, terms)
         host = inputs_of(several, numbers)
-        out, drawn, ended = told = tuple(np.empty((n, count), np.float32) for count in (4, n_planes, unknowns))
+        shapes = [(n, count) for count in (4, n_planes, unknowns, *details)]
         asked = Asked(n_groups, n_planes, side, unknowns, terms.speckle, terms.shifts, rounds)
+        told = [np.empty(shape, np.float32) for shape in shapes] if n == 0 or self._groups is not None else []
         if n == 0:
-            return Answers(np.empty(0), np.empty(0), drawn, ended)
+            return told
         with device_errors(self.name):
             held = np.ascontiguousarray(planes, np.float32)
-            if self._groups is not None:
-                self.kernel_seconds = self._groups.weigh(held, host, asked, told, details)
-            else:
-                self._by_items(held, host, asked, told, details)
-        return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn, ended)
+            if self._groups is None:
+                return self._by_items(held, host, asked, shapes)
+            self.kernel_seconds = self._groups.weigh(held, host, asked, told[:3], told[3] if details else None)
+        return told
 
     def _by_items(
-        self, held: Numbers, host: HostInputs, asked: Asked, told: tuple[Numbers, ...], details: Numbers | None
-    ) -> None:
-        """Fill ``told`` and ``details``: a work-item takes pose after pose."""
-        length, flags = asked.side + 2 * _lanes(host.radius), cl.mem_flags
+        self, held: Numbers, host: HostInputs, asked: Asked, shapes: Sequence[tuple[int, int]]
+    ) -> list[Numbers]:
+        """What is told, of these shapes: a work-item takes pose after pose."""
+        n, length = shapes[0][0], asked.side + 2 * _lanes(host.radius)
         each = _room(asked.unknowns, asked.n_planes, asked.side, length)
-        items = work_items(self._queue.device, len(told[0]), 4 * each)
+        items = work_items(self._queue.device, n, 4 * each)
         given = lent(self._context, held)
         inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
         inputs.insert(3, np.int32(host.every))
         inputs.insert(5, np.int32(host.started))
         numbers = (asked.n_groups, asked.side, asked.n_planes, asked.speckle, asked.shifts, asked.rounds)
-        results = [cl.Buffer(self._context, flags.WRITE_ONLY, a.nbytes) for a in told]
-        more = None
-        if details is not None:
-            more = lent(self._context, details, filled=True)
+        told = [landing(self._context, shape) for shape in shapes]
+        results = [one.argument for one in told] + [None] * (4 - len(told))
         head: tuple[KernelArgument, ...] = (
             given,
-            np.int32(len(told[0])),
+            np.int32(n),
             *inputs,
             *(np.int32(v) for v in (*numbers, length, host.n_stars)),
             *(np.float32(v) for v in host.scalars),
             *(constant(self._context, one) for one in (host.spreads, host.own)),
         )
         tail = (self._memory.of(4 * each * items), np.uint64(each))
-        self._kernel(self._queue, (items,), (1,), *head, *results, more, *tail, zero(self._context))
-        for array, result in zip(told, results, strict=True):
-            cl.enqueue_copy(self._queue, array, result)
-        if more is not None and details is not None:
-            take_back(self._queue, (more, details))
+        self._kernel(self._queue, (items,), (1,), *head, *results, *tail, zero(self._context))
+        landed(self._queue, *told)
+        return [one.values for one in told]
+
+
+def _answers(out: Numbers, drawn: Numbers, ended: Numbers) -> Answers:
+    return Answers(out[:, 0].astype(np.float64), out[:, 1].astype(np.float64), drawn, ended)
 
 
 def open_evidence(kind: str = "cpu", together: bool | None = None) -> LightEvidence:

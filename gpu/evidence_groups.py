@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +76,7 @@ class EvidenceGroups:
         self._given: list[cl.Buffer | None] = []
 
     def weigh(
-        self, planes: Numbers, host: HostInputs, asked: Asked, told: tuple[Numbers, ...], details: Numbers | None
+        self, planes: Numbers, host: HostInputs, asked: Asked, told: Sequence[Numbers], details: Numbers | None
     ) -> float:
         """Fill ``told`` and ``details`` as ``kernels/evidence.cl`` does; how many seconds the kernels took."""
         n, each, device = len(told[0]), 4 * asked.room(host.n_stars), self._queue.device

@@ -12,7 +12,7 @@ from gpu.faces import face_table
 from gpu.looping import Floats, LoopingScorer, Map, Transforms
 from gpu.mesh import Mesh
 from gpu.prefix import fixed_point
-from gpu.program import KernelArgument, build, constant, device_errors, zero
+from gpu.program import Kernel, KernelArgument, build, constant, device_errors, zero
 
 WORD = 64  # pixels
 TRANSFORM_BYTES = 48
@@ -32,7 +32,7 @@ class FillScorer(LoopingScorer):
             self._context = cl.Context([device])
             self._queue = cl.CommandQueue(self._context)
             program = build(self._context, "lanes.cl", "fill.cl")
-            self._score, self._draw = (cl.Kernel(program, name) for name in ("score", "draw"))
+            self._score, self._draw = (Kernel(program, name) for name in ("score", "draw"))
             arrays = (table.vertices.T, table.vertex_starts, table.faces, table.face_starts)
             self._table = tuple(constant(self._context, array) for array in arrays)
 
@@ -65,7 +65,7 @@ class FillScorer(LoopingScorer):
 
     def _launch(
         self,
-        kernel: cl.Kernel,
+        kernel: Kernel,
         transforms: Transforms,
         given: tuple[cl.Buffer, ...],
         shape: tuple[int, int],

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gpu.cells import cell_count
 from gpu.components import Component
-from gpu.program import build, constant
+from gpu.program import Kernel, build, constant
 
 SLACK = 1e-4  # of the part's extent, for rounding
 
@@ -20,7 +20,7 @@ class Occlusion:
 
     def __init__(self, queue: cl.CommandQueue) -> None:
         self._queue = queue
-        self._kernel = cl.Kernel(build(queue.context, "occlusion.cl"), "find_hidden")
+        self._kernel = Kernel(build(queue.context, "occlusion.cl"), "find_hidden")
 
     def hidden_pieces(
         self,

@@ -9,7 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.clusters import OutlineTable
-from gpu.program import KernelArgument, build, constant, zero
+from gpu.program import Kernel, KernelArgument, build, constant, zero
 
 LANES = 16
 CONSTANTS = {"KEPT": 512, "TALL": 16, "TALL_SLOTS": 384, "SHORT_SLOTS": 512, "BAND_STRIDE": 1037}
@@ -47,8 +47,8 @@ class CpuOutline:
 
     def __init__(self, queue: cl.CommandQueue, table: DeviceTable) -> None:
         self._queue, self._table = queue, table
-        self._score = cl.Kernel(self._build(), "score")
-        self._score_placed: cl.Kernel | None = None
+        self._score = Kernel(self._build(), "score")
+        self._score_placed: Kernel | None = None
         self._groups = queue.device.max_compute_units
         self._memory: tuple[tuple[int, int], cl.Buffer, int] | None = None
 
@@ -72,14 +72,14 @@ class CpuOutline:
             self._launch(self._score, *head)
             return
         if self._score_placed is None:
-            self._score_placed = cl.Kernel(self._build("-DPLACED"), "score")
+            self._score_placed = Kernel(self._build("-DPLACED"), "score")
         self._launch(self._score_placed, *head, places)
 
     def _build(self, *more: str) -> cl.Program:
         options = [f"-D{name}={value}" for name, value in CONSTANTS.items()]
         return build(self._queue.context, "lanes.cl", "sorting.cl", "outline_cpu.cl", options=[*options, *more])
 
-    def _launch(self, kernel: cl.Kernel, *arguments: KernelArgument) -> None:
+    def _launch(self, kernel: Kernel, *arguments: KernelArgument) -> None:
         kernel(self._queue, (self._groups,), (1,), *arguments)
 
     def _scratch(self, shape: tuple[int, int]) -> tuple[cl.Buffer, int]:

@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from gpu.budget import group_count
 from gpu.outline_cpu import DeviceTable
-from gpu.program import build, zero
+from gpu.program import Kernel, build, zero
 
 LARGEST_GROUP = 256
 ROW_ITEMS = 32
@@ -23,7 +23,7 @@ class GpuOutline:
 
     def __init__(self, queue: cl.CommandQueue, table: DeviceTable) -> None:
         self._queue, self._table = queue, table
-        self._kernels: dict[tuple[int, int, bool], cl.Kernel] = {}
+        self._kernels: dict[tuple[int, int, bool], Kernel] = {}
         device = queue.device
         bytes_each = EDGE_BYTES * max(1, table.longest)
         limits = device.global_mem_size, device.max_mem_alloc_size
@@ -74,7 +74,7 @@ class GpuOutline:
             rows //= 2
         return rows, stretch
 
-    def _build(self, n_maps: int, band_rows: int, stretch: int, placed: bool) -> cl.Kernel:
+    def _build(self, n_maps: int, band_rows: int, stretch: int, placed: bool) -> Kernel:
         sizes = {"MAPS": n_maps, "BAND_ROWS": band_rows, "ROW_ITEMS": ROW_ITEMS, "STRETCH": stretch}
         options = [f"-D{name}={value}" for name, value in sizes.items()] + (["-DPLACED"] if placed else [])
-        return cl.Kernel(build(self._queue.context, "outline_gpu.cl", options=options), "score")
+        return Kernel(build(self._queue.context, "outline_gpu.cl", options=options), "score")

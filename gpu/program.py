@@ -5,7 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import resources
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -16,7 +18,8 @@ from gpu.errors import DeviceLostError, ScorerError
 # NVIDIA's compiler has a word on every kernel (it may be inlined all the same), and pyopencl warns of any word.
 warnings.filterwarnings("ignore", category=cl.CompilerWarning)
 
-KernelArgument = np.generic | cl.Buffer
+KernelArgument: TypeAlias = "np.generic | cl.Buffer | cl.SVM[Any]"  # which is generic for its stub alone
+_ALIGNED = 64  # numerical: bytes: a line of a CPU's cache
 _RESIDENT = 32  # numerical: groups of one work-item that a compute unit of a GPU holds at once
 
 
@@ -35,6 +38,29 @@ def _exact_division(context: cl.Context) -> list[str]:
     return ["-cl-fp32-correctly-rounded-divide-sqrt"] if able else []
 
 
+class Kernel:
+    """A kernel that learns the types of its numbers once: told with every call, they cost more than a launch."""
+
+    def __init__(self, program: cl.Program, name: str) -> None:
+        self._kernel = cl.Kernel(program, name)
+        self._is_typed = False
+
+    def __call__(
+        self,
+        queue: cl.CommandQueue,
+        items: tuple[int, ...],
+        group: tuple[int, ...] | None,
+        *arguments: KernelArgument | None,
+    ) -> cl.Event:
+        """Launch it."""
+        if not self._is_typed:
+            self._kernel.set_scalar_arg_dtypes(
+                [one.dtype if isinstance(one, np.generic) else None for one in arguments]
+            )
+            self._is_typed = True
+        return self._kernel(queue, items, group, *arguments)
+
+
 def constant(context: cl.Context, values: NDArray[np.generic]) -> cl.Buffer:
     """A device buffer that starts with ``values`` (an empty array gives one element: OpenCL has no empty buffer)."""
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
@@ -47,6 +73,38 @@ def lent(context: cl.Context, values: NDArray[np.generic], *, filled: bool = Fal
     flags = cl.mem_flags
     access = flags.READ_WRITE if filled else flags.READ_ONLY
     return cl.Buffer(context, access | flags.USE_HOST_PTR, hostbuf=values)
+
+
+@dataclass(frozen=True)
+class Landing:
+    """An array that kernels write to, and that the host reads where it lies once they are done: ``landed``."""
+
+    values: NDArray[Any]
+    argument: cl.Buffer | cl.SVM[Any]
+
+
+def landing(
+    context: cl.Context, shape: tuple[int, ...], dtype: type[np.generic] = np.float32, *, zeros: bool = False
+) -> Landing:
+    """An array that is filled with ``zeros``, or with nothing.
+
+    Where a device shares its memory with the host, as CPUs do, it needs no command to come back.
+    """
+    shares = cl.device_svm_capabilities.FINE_GRAIN_BUFFER
+    shared = all(device.svm_capabilities & shares for device in context.devices) and all(shape)
+    values = cl.fsvm_empty(context, shape, np.dtype(dtype), alignment=_ALIGNED) if shared else np.empty(shape, dtype)
+    if zeros:
+        values.fill(0)
+    return Landing(values, cl.SVM(values) if shared else lent(context, values, filled=True))
+
+
+def landed(queue: cl.CommandQueue, *results: Landing) -> None:
+    """Wait until what kernels wrote is there."""
+    buffers = [(one.argument, one.values) for one in results if isinstance(one.argument, cl.Buffer)]
+    if buffers:
+        take_back(queue, *buffers)
+    else:
+        queue.finish()
 
 
 def take_back(queue: cl.CommandQueue, *results: tuple[cl.Buffer, NDArray[np.generic]]) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gpu.atlas import LANES, Tiles
 from gpu.prefix import fixed_point
-from gpu.program import build, constant
+from gpu.program import Kernel, build, constant
 
 GPU_ITEMS = 64
 
@@ -18,7 +18,7 @@ class Reducer:
 
     def __init__(self, queue: cl.CommandQueue) -> None:
         self._queue = queue
-        self._kernel = cl.Kernel(build(queue.context, "lanes.cl", "reduce.cl"), "sum_tiles")
+        self._kernel = Kernel(build(queue.context, "lanes.cl", "reduce.cl"), "sum_tiles")
         self._items = 1 if queue.device.type & cl.device_type.CPU else GPU_ITEMS
 
     def load(self, log_ratio: NDArray[np.float32]) -> tuple[cl.Buffer, int, float]:

@@ -70,7 +70,7 @@ class ShadedBody:
         for number, part in enumerate(mesh.parts):
             with device_errors(self.name):
                 self._show(table.starts[number : number + 2], table.boxes[number : number + 1])
-                self._form.mark_seen(self._shown, views_of_part(part), Sizes(SIDE, 1, 0, self.n_groups), marks)
+                marks |= self._form.seen(self._shown, views_of_part(part), Sizes(SIDE, 1, 0, self.n_groups))
         seen = np.zeros(mesh.n_faces, dtype=bool)
         seen[self._table.origin[marks > 0]] = True
         return seen
@@ -93,9 +93,8 @@ class ShadedBody:
         seen.
         """
         given = self._given(part_transforms, towards_sun)
-        out = np.zeros((len(given[0]), self.n_groups * (1 + len(gloss)) + EVEN_PLANES, side, side), np.float32)
-        self._draw(given, Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens), None, out)
-        return out
+        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens)
+        return self._draw(given, sizes, None, self.n_groups * (1 + len(gloss)) + EVEN_PLANES)
 
     def combined(
         self,
@@ -111,9 +110,8 @@ class ShadedBody:
     ) -> Numbers:
         """(N, side, side) sums of the planes times ``coefficients``, (G + 4 + L G,) or (N, G + 4 + L G)."""
         given = self._given(part_transforms, towards_sun)
-        out = np.zeros((len(given[0]), 1, side, side), np.float32)
-        self._sum(given, coefficients, out, Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens))
-        return out[:, 0]
+        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens)
+        return self._sum(given, coefficients, 1, sizes)[:, 0]
 
     def pictures(
         self,
@@ -127,10 +125,8 @@ class ShadedBody:
     ) -> Numbers:
         """(N, 2, side, side): all groups in the Sun's light with ``EVEN_LIGHT`` added, and the coverage."""
         given = self._given(part_transforms, towards_sun)
-        out = np.zeros((len(given[0]), 2, side, side), np.float32)
         alike = np.concatenate([np.ones(self.n_groups), [EVEN_LIGHT, 0.0, 0.0, 0.0]])
-        self._sum(given, alike, out, Sizes(side, supersample, shadow_px, self.n_groups, (), lens))
-        return out
+        return self._sum(given, alike, 2, Sizes(side, supersample, shadow_px, self.n_groups, (), lens))
 
     def close(self) -> None:
         """Wait for the device and give its memory back."""
@@ -163,21 +159,22 @@ class ShadedBody:
         return moved, suns.astype(np.float32)
 
     def _sum(
-        self, given: tuple[Numbers, Numbers], coefficients: NDArray[np.floating], out: Numbers, sizes: Sizes
-    ) -> None:
-        count, n = self.n_groups * (1 + len(sizes.gloss)) + EVEN_PLANES, len(out)
+        self, given: tuple[Numbers, Numbers], coefficients: NDArray[np.floating], pictures: int, sizes: Sizes
+    ) -> Numbers:
+        count, n = self.n_groups * (1 + len(sizes.gloss)) + EVEN_PLANES, len(given[0])
         if coefficients.shape not in ((count,), (n, count)):
             raise ValueError(f"coefficients are {coefficients.shape}, not ({count},) or ({n}, {count})")
-        self._draw(given, sizes, np.ascontiguousarray(coefficients, np.float32), out)
+        return self._draw(given, sizes, np.ascontiguousarray(coefficients, np.float32), pictures)
 
-    def _draw(self, given: tuple[Numbers, Numbers], sizes: Sizes, share: Numbers | None, out: Numbers) -> None:
+    def _draw(self, given: tuple[Numbers, Numbers], sizes: Sizes, share: Numbers | None, count: int) -> Numbers:
         if min(sizes.side, sizes.supersample) < 1 or sizes.shadow_px < 0:
             raise ValueError(
                 f"{sizes.side} px, {sizes.supersample} samples and {sizes.shadow_px} texels cannot be drawn"
             )
-        if len(out):
-            with device_errors(self.name):
-                self._form.draw(self._shown, given, sizes, share, out)
+        if not len(given[0]):
+            return np.empty((0, count, sizes.side, sizes.side), np.float32)
+        with device_errors(self.name):
+            return self._form.draw(self._shown, given, sizes, share, count)
 
 
 def open_shaded(

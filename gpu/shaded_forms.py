@@ -11,7 +11,19 @@ from numpy.typing import NDArray
 
 from gpu.budget import group_count
 from gpu.lens import NEAREST, NO_LENS, Lens, magnified
-from gpu.program import KernelArgument, Scratch, build, constant, lent, take_back, work_items, zero
+from gpu.program import (
+    Kernel,
+    KernelArgument,
+    Landing,
+    Scratch,
+    build,
+    constant,
+    landed,
+    landing,
+    lent,
+    work_items,
+    zero,
+)
 from gpu.shaded_faces import LANES
 from gpu.shaded_reference import BIAS_TEXELS, EVEN_PLANES, STEEPEST
 
@@ -71,13 +83,13 @@ class Form(Protocol):
         given: tuple[Numbers, Numbers],
         sizes: Sizes,
         share: Numbers | None,
-        out: Numbers,
-    ) -> None:
-        """Fill ``out`` (N, Q, side, side), zeros: every plane, or with ``share`` (Q',) or (N, Q') their sums."""
+        count: int,
+    ) -> Numbers:
+        """(N, count, side, side): every plane, or with ``share`` (Q',) or (N, Q') their sums."""
         ...
 
-    def mark_seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes, marks: NDArray[np.uint8]) -> None:
-        """Put 1 into ``marks`` (K,), zeros, where a face is nearest to some sample of a view."""
+    def seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes) -> NDArray[np.uint8]:
+        """(K,) 1 where a face is nearest to some sample of a view, else 0."""
         ...
 
     def close(self) -> None:
@@ -110,7 +122,7 @@ class ItemForm:
         self.context = self._queue.context
         self._memory = Scratch(self.context)
         program = build(self.context, *FACES, "shaded.cl", options=_options())
-        kernels = (cl.Kernel(program, name) for name in ("planes", "combined", "mark_seen"))
+        kernels = (Kernel(program, name) for name in ("planes", "combined", "mark_seen"))
         self._planes, self._combined, self._mark_seen = kernels
 
     def draw(
@@ -119,20 +131,24 @@ class ItemForm:
         given: tuple[Numbers, Numbers],
         sizes: Sizes,
         share: Numbers | None,
-        out: Numbers,
-    ) -> None:
+        count: int,
+    ) -> Numbers:
         """See ``Form``."""
         exponents = constant(self.context, np.asarray(sizes.gloss, np.float32))
+        result = landing(self.context, (len(given[0]), count, sizes.side, sizes.side), zeros=True)
         if share is None:
-            self._launch(self._planes, faces, given, sizes, (exponents,), out, ())
-            return
-        every = share.shape[1] if share.ndim == 2 else 0
-        more = (constant(self.context, share), np.int32(every), np.int32(out.shape[1]))
-        self._launch(self._combined, faces, given, sizes, (exponents,), out, more)
+            self._launch(self._planes, faces, given, sizes, (exponents,), result, ())
+        else:
+            every = share.shape[1] if share.ndim == 2 else 0
+            more = (constant(self.context, share), np.int32(every), np.int32(count))
+            self._launch(self._combined, faces, given, sizes, (exponents,), result, more)
+        return result.values
 
-    def mark_seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes, marks: NDArray[np.uint8]) -> None:
+    def seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes) -> NDArray[np.uint8]:
         """See ``Form``."""
-        self._launch(self._mark_seen, faces, (views,), sizes, (), marks, ())
+        result = landing(self.context, (faces.n_padded,), np.uint8, zeros=True)
+        self._launch(self._mark_seen, faces, (views,), sizes, (), result, ())
+        return result.values
 
     def close(self) -> None:
         """See ``Form``."""
@@ -141,12 +157,12 @@ class ItemForm:
 
     def _launch(
         self,
-        kernel: cl.Kernel,
+        kernel: Kernel,
         faces: FacesOnDevice,
         given: tuple[Numbers, ...],
         sizes: Sizes,
         exponents: tuple[cl.Buffer, ...],
-        out: NDArray[np.generic],
+        result: Landing,
         more: tuple[KernelArgument, ...],
     ) -> None:
         n, n_gloss, fine = len(given[0]), len(sizes.gloss), sizes.side * sizes.supersample
@@ -162,12 +178,11 @@ class ItemForm:
         each = -(-(each + 2 * LANES) // 32) * 32
         items = work_items(self._queue.device, n, 4 * each)
         inputs = (lent(self.context, one) for one in given)
-        result = lent(self.context, out, filled=True)
         counter = zero(self.context)
         scratch = self._memory.of(4 * each * items)
         head = (*inputs, np.int32(n), *faces.arguments, *(np.int32(v) for v in numbers), *sizes.camera(), *exponents)
-        kernel(self._queue, (items,), (1,), *head, result, scratch, np.int32(each), counter, *more)
-        take_back(self._queue, (result, out))
+        kernel(self._queue, (items,), (1,), *head, result.argument, scratch, np.int32(each), counter, *more)
+        landed(self._queue, result)
 
 
 class GroupForm:
@@ -184,7 +199,7 @@ class GroupForm:
         files = (*FACES, "shaded_gpu_light.cl", "shaded_gpu_faces.cl", "shaded_gpu.cl")
         sizes = [f"-DGROUP={self._group}", f"-DTILE={self._tile}"]
         program = build(self.context, *files, options=[*_options(), *sizes])
-        self._kernel = cl.Kernel(program, "draw")
+        self._kernel = Kernel(program, "draw")
 
     def draw(
         self,
@@ -192,10 +207,11 @@ class GroupForm:
         given: tuple[Numbers, Numbers],
         sizes: Sizes,
         share: Numbers | None,
-        out: Numbers,
-    ) -> None:
+        count: int,
+    ) -> Numbers:
         """See ``Form``."""
         self.kernel_seconds = 0.0
+        out = np.empty((len(given[0]), count, sizes.side, sizes.side), np.float32)
         most = min(LARGEST_RESULT, self._queue.device.max_mem_alloc_size)
         n, size = len(out), max(1, most // out[0].nbytes)
         alike = None if share is None or share.ndim == 2 else constant(self.context, share)
@@ -207,13 +223,16 @@ class GroupForm:
             drawn = self._launch(faces, (given[0][few], given[1][few]), sizes, result, weights)
             cl.enqueue_copy(self._queue, out[few], result)
             self.kernel_seconds += 1e-9 * (drawn.profile.end - drawn.profile.start)
+        return out
 
-    def mark_seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes, marks: NDArray[np.uint8]) -> None:
+    def seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes) -> NDArray[np.uint8]:
         """See ``Form``."""
+        marks = np.zeros(faces.n_padded, np.uint8)
         suns = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(views), 1))
         marked = constant(self.context, marks)
         self._launch(faces, (views, suns), sizes, None, (None, np.int32(0), np.int32(0), marked))
         cl.enqueue_copy(self._queue, marks, marked)
+        return marks
 
     def close(self) -> None:
         """See ``Form``."""

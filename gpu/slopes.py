@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.evidence import EIGHT, Row
 from gpu.evidence_terms import LANES
-from gpu.program import Scratch, build, constant, device_errors, lent, take_back, work_items, zero
+from gpu.program import Kernel, Scratch, build, constant, device_errors, landed, landing, lent, work_items, zero
 
 Numbers = NDArray[np.float32]
 FILES = ("lanes.cl", "evidence_shared.cl", "evidence_pictures.cl", "evidence_normal.cl", "light_slopes.cl")
@@ -31,7 +31,7 @@ class LightSlopes:
             self._context = cl.Context([open_device(report)])
             self._queue, self._memory = cl.CommandQueue(self._context), Scratch(self._context)
             program = build(self._context, *FILES)
-            self._slopes, self._systems = (cl.Kernel(program, name) for name in ("slopes", "systems"))
+            self._slopes, self._systems = (Kernel(program, name) for name in ("slopes", "systems"))
 
     def mixed(
         self,
@@ -47,14 +47,13 @@ class LightSlopes:
         change by place, growth and turn about ``middles`` (N, 2; px) are the other four, or None. ``blur``: weight,
         taps of each Gaussian, and those of its slope.
         """
-        n, side = len(pairs), pairs.shape[-1]
-        out = np.zeros((n, mixes.shape[1], side, side), np.float32)
+        side = pairs.shape[-1]
         if side % LANES:
             raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
-        if n:
-            with device_errors(self.name):
-                self._run(pairs, here, (mixes, middles), blur, out)
-        return out
+        if not len(pairs):
+            return np.empty((0, mixes.shape[1], side, side), np.float32)
+        with device_errors(self.name):
+            return self._run(pairs, here, (mixes, middles), blur)
 
     def systems(
         self, slopes: Numbers, rows: Sequence[Row], known: NDArray[np.float64] | None
@@ -66,16 +65,13 @@ class LightSlopes:
         do instead takes of it; as much were nothing known of its paint; and slope (N, D).
         """
         n, d = slopes.shape[:2]
-        out = (*(np.zeros((n, d, d)) for _ in range(3)), np.zeros((n, d)))
+        out = (*(np.empty((n, d, d)) for _ in range(3)), np.empty((n, d)))
         with device_errors(self.name):
             for told in {id(row.told): row.told for row in rows}.values():
                 at = [k for k, row in enumerate(rows) if row.told is told]
-                parts = tuple(np.zeros((len(at), *one.shape[1:])) for one in out) if len(at) < n else out
                 few = (slopes, known) if len(at) == n else (slopes[at], None if known is None else known[at])
-                self._eliminate(told, [rows[k] for k in at], *few, parts)
-                for one, part in zip(out, parts, strict=True):
-                    if part is not one:
-                        one[at] = part
+                for one, part in zip(out, self._eliminate(told, [rows[k] for k in at], *few), strict=True):
+                    one[at] = part
         return out
 
     def close(self) -> None:
@@ -89,15 +85,14 @@ class LightSlopes:
         here: Numbers | None,
         numbers: tuple[NDArray[np.floating], NDArray[np.floating]],
         blur: Sequence[tuple[float, Numbers, Numbers]],
-        out: Numbers,
-    ) -> None:
+    ) -> Numbers:
         n, _, drawn, side, _ = pairs.shape
         radii = np.array([max(len(smooth), len(slope)) // 2 for _, smooth, slope in blur], np.int32)
         length = side + 2 * (-(-int(radii.max()) // LANES) * LANES)
         each = (drawn + 5) * side * side + side * length
         items = work_items(self._queue.device, n, 4 * each)
         given = [None if one is None else lent(self._context, np.ascontiguousarray(one)) for one in (pairs, here)]
-        result = lent(self._context, out, filled=True)
+        result = landing(self._context, (n, numbers[0].shape[1], side, side), zeros=True)
         mixes, middles = (constant(self._context, np.ascontiguousarray(one, np.float32)) for one in numbers)
         weights = constant(self._context, np.array([weight for weight, _, _ in blur], np.float32))
         both = [smooth for _, smooth, _ in blur], [slope for _, _, slope in blur]
@@ -105,12 +100,13 @@ class LightSlopes:
             constant(self._context, np.concatenate([_padded(one, r) for one, r in zip(taps, radii, strict=True)]))
             for taps in both
         )
-        counts = (np.int32(n), np.int32(drawn), np.int32(out.shape[1]))
+        counts = (np.int32(n), np.int32(drawn), np.int32(numbers[0].shape[1]))
         sizes = (np.int32(side), np.int32(len(blur)))
         spread = weights, constant(self._context, radii), smooth, slope, np.int32(length)
-        tail = result, self._memory.of(4 * each * items), np.uint64(each), zero(self._context)
+        tail = result.argument, self._memory.of(4 * each * items), np.uint64(each), zero(self._context)
         self._slopes(self._queue, (items,), (1,), *given, *counts, mixes, middles, *sizes, *spread, *tail)
-        take_back(self._queue, (result, out))
+        landed(self._queue, result)
+        return result.values
 
     def _eliminate(
         self,
@@ -118,8 +114,7 @@ class LightSlopes:
         rows: Sequence[Row],
         slopes: Numbers,
         known: NDArray[np.float64] | None,
-        out: tuple[NDArray[np.float64], ...],
-    ) -> None:
+    ) -> list[NDArray[np.float64]]:
         """``systems`` of poses that were told together."""
         n, d, side, _ = slopes.shape
         unknowns = rows[0].unknowns
@@ -129,12 +124,14 @@ class LightSlopes:
         items = work_items(self._queue.device, n, 4 * each)
         own, given = lent(self._context, np.ascontiguousarray(slopes, np.float32)), lent(self._context, told)
         which = constant(self._context, np.array([row.number for row in rows], np.int32))
-        results = [lent(self._context, one, filled=True) for one in out]
+        out = [landing(self._context, shape, np.float64, zeros=True) for shape in (*(3 * [(n, d, d)]), (n, d))]
         paint = (None, np.int32(0)) if known is None else (constant(self._context, known), np.int32(known.shape[1]))
+        results = [one.argument for one in out]
         head = given, np.uint64(told.shape[1]), which, np.int32(n), np.int32(unknowns), np.int32(side)
         tail = self._memory.of(4 * each * items), np.uint64(each), zero(self._context)
         self._systems(self._queue, (items,), (1,), *head, own, np.int32(d), *paint, *results, *tail)
-        take_back(self._queue, *zip(results, out, strict=True))
+        landed(self._queue, *out)
+        return [one.values for one in out]
 
 
 def _padded(taps: Numbers, radius: int) -> Numbers:
