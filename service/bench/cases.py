@@ -65,6 +65,7 @@ class Case:
     towards_sun: Array | None = None  # (3,) camera axes: x right, y down, z away
     box: tuple[float, float, float, float] | None = None  # x, y, width, height about the body in the first frame
     scale_prior: tuple[float, float] | None = None  # px per model unit, and its relative error, as a range would tell
+    mesh_error: float = 0.0  # relative, of the model's file as the body's shape
 
 
 class ModelShelf:

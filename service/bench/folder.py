@@ -51,6 +51,7 @@ class SequenceFolder:
             towards_sun=_direction(described.get("light", {}).get("towards_sun")),
             box=_box(described.get("box")),
             scale_prior=_scale_prior(described.get("scale_prior")),
+            mesh_error=float(described.get("mesh_error", 0.0)),
         )
 
     def _backgrounds(self) -> Iterator[bytes]:

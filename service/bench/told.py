@@ -1,4 +1,4 @@
-"""What a session is told of a pass beside its frames: where the Sun stands, and how large the body is."""
+"""What a session is told of a pass beside its frames: where the Sun is, how large the body, and how well known."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ class Told:
     scale: bool = False
     sky: bool = True  # empty frames; else it is learned from the frames themselves
     stretch: float | None = None  # the frames' counts are the light to this power, and that is told
+    mesh_error: bool = True
     canvas: int | None = None  # the frames lie in the midst of an image of this side, px
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
@@ -36,6 +37,8 @@ class Told:
         if self.scale and case.scale_prior is not None and config.prior.scale_px is None:
             px, sigma = case.scale_prior
             config = replace(config, prior=replace(config.prior, scale_px=px, scale_sigma=sigma))
+        if self.mesh_error and case.mesh_error and config.prior.mesh_error == 0:
+            config = replace(config, prior=replace(config.prior, mesh_error=case.mesh_error))
         if self.stretch is not None:
             config = replace(config, camera=replace(config.camera, transfer=self.stretch))
         return config

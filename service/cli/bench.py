@@ -78,6 +78,9 @@ def track(
     own_sky: Annotated[
         bool, typer.Option("--own-sky", help="Give no empty frames: the sky is the frames' own.")
     ] = False,
+    exact_mesh: Annotated[
+        bool, typer.Option("--exact-mesh", help="Do not tell them how far a mesh is off its body.")
+    ] = False,
     canvas: Annotated[
         int | None, typer.Option(min=64, max=8192, help="Frames in the midst of so many px of their sky, a side.")
     ] = None,
@@ -90,7 +93,7 @@ def track(
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky, stretch, canvas))
+    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky, stretch, not exact_mesh, canvas))
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())
         selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials, untied)

@@ -31,6 +31,10 @@ class PriorParams:
     """The scale where it is known otherwise, pixels of the whole frame per model unit. It goes before a range's."""
     scale_sigma: float = 0.03
     """Standard deviation of `scale_px`, as a share of it. No scale farther than three of them is looked at."""
+    mesh_error: float = 0.0
+    """Relative error of the mesh, a standard deviation, where the body is not quite its model: 0.05 where parts are 5 %
+    off in size. It moves all poses of a pass alike, which no frame shows: spreads and particles are stated with it, by
+    a third of it in radians about each axis (1° for 0.05). Not for `bootstrap`."""
     attitude_mode: Literal["nadir_pointing", "yaw_steering", "sun_pointing"] | None = None
     """The body is believed to be held so: among poses that a frame cannot tell apart, those that are aligned go before.
     It needs `orbit`, and in each frame the camera's orientation; estimates whose modes it weighed have `attitude_mode`
@@ -43,6 +47,7 @@ class PriorParams:
         require(0.001 <= self.scale_tolerance <= 0.9, "scale_tolerance must be between 0.001 and 0.9")
         require(self.scale_px is None or 1e-6 <= self.scale_px <= 1e6, "scale_px must be between 1e-6 and 1e6")
         require(0.001 <= self.scale_sigma <= 0.5, "scale_sigma must be between 0.001 and 0.5")
+        require(0 <= self.mesh_error <= 0.5, "mesh_error must be between 0 and 0.5")
 
 
 @dataclass(frozen=True)

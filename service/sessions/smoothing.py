@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import orjson
 
 from service.attitude.pointing import CameraOrientation
@@ -112,6 +113,7 @@ def _job(
         height=int(info["height"]),
         beliefs=tuple(row.belief for row in rows),
         count=count,
+        radius=0.5 * float(np.linalg.norm(model.report["size"])),
     )
 
 

@@ -210,6 +210,7 @@ class SmoothJob:
     height: int
     beliefs: tuple[bytes | None, ...]
     count: int  # frames to answer, from the first on; the others are only what came after
+    radius: float = 1.0  # of the body, model units
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from service.inference.articulation import hold
 from service.inference.belief import Belief, rates_near
 from service.inference.domain import Domain
+from service.inference.mesh_error import stated_belief
 from service.inference.motion import motion_noise
 from service.inference.rotation_rate import rotation_rate
 from service.inference.smoothed import summarise_belief
@@ -19,21 +20,20 @@ from service.workers.base import SmoothJob, SmoothReport
 from service.workers.codec import decode
 from service.workers.full_frame import camera_window, smoothed_in_full_frame
 
-_ANY_RADIUS = 1.0  # the body's size shifts the bounds of the scale; only their ratio counts here
-
 
 def smooth_pass(job: SmoothJob) -> SmoothReport:
     """The smoothed marginals of the first ``job.count`` frames. Raises ``CheckpointError`` for a broken belief."""
     articulation = hold(job.articulation, job.config.joints.free, job.config.joints.fixed)
     camera = job.config.camera
-    domain = Domain(*camera_window(camera, job.width, job.height).size, _ANY_RADIUS, articulation, job.config.prior)
+    domain = Domain(*camera_window(camera, job.width, job.height).size, job.radius, articulation, job.config.prior)
     filtered = [None if packed is None else decode(Belief, packed) for packed in job.beliefs]
     each = any(belief is not None and belief.each for belief in filtered)
     told = held_symmetries(() if each else job.twins, job.articulation, articulation)
     space = Space(motion_noise(job.config.motion, domain), domain, told)
     with_rates = job.config.motion.kind == "constant_velocity"
     found = smooth(filtered, space)[: job.count]
-    told_of = (None if b is None else summarise_belief(b, told, domain, with_rates) for b in found)
+    wide = (None if b is None else stated_belief(b, domain) for b in found)
+    told_of = (None if b is None else summarise_belief(b, told, domain, with_rates) for b in wide)
     return SmoothReport(tuple(None if e is None else smoothed_in_full_frame(e, camera) for e in told_of))
 
 

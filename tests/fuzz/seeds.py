@@ -157,7 +157,7 @@ def json_seeds(model: str = "MODEL", other: str = "OTHER", joints: tuple[str, ..
         "model_id": model,
         "name": "x",
         "filter": {"preset": "balanced", "method": "auto", "particles": 100, "seed": 3, "resampler": "systematic"},
-        "prior": {"min_extent": 0.05, "max_extent": 0.9, "scale_px": 3.0, "scale_sigma": 0.03},
+        "prior": {"min_extent": 0.05, "max_extent": 0.9, "scale_px": 3.0, "scale_sigma": 0.03, "mesh_error": 0.02},
         "motion": MOTION,
         "camera": {"mirrored": False, "perspective": 800.0, "principal_point": [16.0, 12.0], "transfer": 0.45},
         "joints": {"free": list(joints), "fixed": {}, "sun_tracking": list(joints), "sun_tracking_sigma_deg": 5.0},

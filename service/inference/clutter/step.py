@@ -23,6 +23,7 @@ from service.inference.estimate import short_way, tangent
 from service.inference.filters.answer import drawn, estimate_of
 from service.inference.filters.status import one_answer
 from service.inference.held import Held, believed
+from service.inference.mesh_error import stated
 from service.inference.model import existence, prior
 from service.inference.model.drawing import Drawing, Lens
 from service.inference.model.dynamics import corrected, new_born, predicted
@@ -209,7 +210,7 @@ def _concluded(
     )
     probabilities = told(here)
     status = status_of(probabilities)
-    weighed = believed(mixture, given.held)
+    weighed = stated(believed(mixture, given.held), given.domain)
     particles, rates = drawn(rng, weighed, given.config.filter.particles, given.domain)
     nats = float(modes.settled.nats[kept[0]])
     estimate = estimate_of(weighed, particles, status, given.domain, probabilities, (nats, nats), fit)

@@ -18,6 +18,7 @@ from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.status import one_answer, status_of, told_existence
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.held import believed
+from service.inference.mesh_error import stated
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import Quality
@@ -269,7 +270,7 @@ def concluded(
     rng: np.random.Generator, after: Mixture, updated: Updated, hill: Hill, given: Given
 ) -> tuple[FilterState, Estimate]:
     """The state and the answer."""
-    told = believed(after, given.held)
+    told = stated(believed(after, given.held), given.domain)
     poses, rates = drawn(rng, told, given.config.filter.particles, given.domain)
     status = status_of(told, given.twins, given.domain)
     log_weights = updated.log_weights

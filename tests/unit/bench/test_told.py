@@ -52,6 +52,8 @@ def test_sessions_are_told_what_is_known_unless_they_were_told_otherwise(case_of
     assert (ranged.scale_px, ranged.scale_sigma) == (5.0, 0.03)
     off = np.array(Told(sun_off_deg=15.0).configure(config, case).light.sun)
     assert np.rad2deg(np.arccos(off @ case.towards_sun)) == pytest.approx(15.0)
+    unlike = replace(case, mesh_error=0.05)
+    assert [Told(mesh_error=yes).configure(config, unlike).prior.mesh_error for yes in (True, False)] == [0.05, 0.0]
     said = effective({"light": {"sun": "unknown"}, "prior": {"scale_px": 4.0}})
     assert Told(scale=True).configure(said, case) == said
 

@@ -178,6 +178,14 @@ def test_a_told_attitude_mode_weighs_the_answer_and_nothing_that_is_carried_on()
     assert estimate.status == "tracking" and error_deg(estimate, 2) < 3.0
 
 
+def test_a_mesh_that_is_off_widens_the_answer_and_nothing_that_is_carried_on():
+    (state, _), (held, plain), asked = *passed()[1:3], given(frame(2), 2)
+    off = replace(asked.domain, prior=replace(asked.domain.prior, mesh_error=0.05))
+    after, told = step(np.random.default_rng([7, 2]), state, replace(asked, domain=off))
+    assert np.array_equal(after.mixture.covariance, held.mixture.covariance) and told.status == plain.status
+    assert told.spread.orientation_deg > plain.spread.orientation_deg + 1.0
+
+
 def test_a_state_that_was_stored_goes_on_as_if_it_had_not_been():
     state = passed()[1][0]
     again = advance(decode(FilterState, encode(state)), frame(2), 2)[0]
