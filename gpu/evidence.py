@@ -24,7 +24,7 @@ from gpu.program import (
     constant,
     device_errors,
     landed,
-    landing,
+    landings,
     lent,
     work_items,
     zero,
@@ -167,11 +167,12 @@ class LightEvidence:
         each = _room(asked.unknowns, asked.n_planes, asked.side, length)
         items = work_items(self._queue.device, n, 4 * each)
         given = lent(self._context, held)
-        inputs: list[KernelArgument] = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
+        arrays = [np.ascontiguousarray(one) for one in host.arrays]
+        inputs: list[KernelArgument] = [(lent if one.size else constant)(self._context, one) for one in arrays]
         inputs.insert(3, np.int32(host.every))
         inputs.insert(5, np.int32(host.started))
         numbers = (asked.n_groups, asked.side, asked.n_planes, asked.speckle, asked.shifts, asked.rounds)
-        told = [landing(self._context, shape) for shape in shapes]
+        told = landings(self._context, shapes)
         results = [one.argument for one in told] + [None] * (4 - len(told))
         head: tuple[KernelArgument, ...] = (
             given,

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
+from itertools import accumulate
+from math import prod
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -83,19 +85,34 @@ class Landing:
     argument: cl.Buffer | cl.SVM[Any]
 
 
+def landings(
+    context: cl.Context, shapes: Sequence[tuple[int, ...]], dtype: type[np.generic] = np.float32, *, zeros: bool = False
+) -> list[Landing]:
+    """Arrays of these shapes, none of them empty, filled with ``zeros`` or with nothing.
+
+    Where a device shares its memory with the host, as CPUs do, they need no command to come back, and lie in one piece:
+    to ask for it takes as long as a short kernel.
+    """
+    shares = cl.device_svm_capabilities.FINE_GRAIN_BUFFER
+    shared = all(device.svm_capabilities & shares for device in context.devices)
+    sizes = [prod(shape) for shape in shapes]
+    if shared:
+        line = _ALIGNED // np.dtype(dtype).itemsize
+        starts = [0, *accumulate(-(-size // line) * line for size in sizes)]
+        whole = cl.fsvm_empty(context, (starts[-1],), np.dtype(dtype), alignment=_ALIGNED)
+        arrays = [whole[at : at + size].reshape(s) for at, size, s in zip(starts, sizes, shapes, strict=False)]
+    else:
+        arrays = [np.empty(shape, dtype) for shape in shapes]
+    for values in arrays if zeros else ():
+        values.fill(0)
+    return [Landing(one, cl.SVM(one) if shared else lent(context, one, filled=True)) for one in arrays]
+
+
 def landing(
     context: cl.Context, shape: tuple[int, ...], dtype: type[np.generic] = np.float32, *, zeros: bool = False
 ) -> Landing:
-    """An array that is filled with ``zeros``, or with nothing.
-
-    Where a device shares its memory with the host, as CPUs do, it needs no command to come back.
-    """
-    shares = cl.device_svm_capabilities.FINE_GRAIN_BUFFER
-    shared = all(device.svm_capabilities & shares for device in context.devices) and all(shape)
-    values = cl.fsvm_empty(context, shape, np.dtype(dtype), alignment=_ALIGNED) if shared else np.empty(shape, dtype)
-    if zeros:
-        values.fill(0)
-    return Landing(values, cl.SVM(values) if shared else lent(context, values, filled=True))
+    """One of ``landings``."""
+    return landings(context, [shape], dtype, zeros=zeros)[0]
 
 
 def landed(queue: cl.CommandQueue, *results: Landing) -> None:

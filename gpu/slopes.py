@@ -15,7 +15,19 @@ from numpy.typing import NDArray
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.evidence import EIGHT, Row
 from gpu.evidence_terms import LANES
-from gpu.program import Kernel, Scratch, build, constant, device_errors, landed, landing, lent, work_items, zero
+from gpu.program import (
+    Kernel,
+    Scratch,
+    build,
+    constant,
+    device_errors,
+    landed,
+    landing,
+    landings,
+    lent,
+    work_items,
+    zero,
+)
 
 Numbers = NDArray[np.float32]
 FILES = ("lanes.cl", "evidence_shared.cl", "evidence_pictures.cl", "evidence_normal.cl", "light_slopes.cl")
@@ -124,7 +136,7 @@ class LightSlopes:
         items = work_items(self._queue.device, n, 4 * each)
         own, given = lent(self._context, np.ascontiguousarray(slopes, np.float32)), lent(self._context, told)
         which = constant(self._context, np.array([row.number for row in rows], np.int32))
-        out = [landing(self._context, shape, np.float64, zeros=True) for shape in (*(3 * [(n, d, d)]), (n, d))]
+        out = landings(self._context, (*(3 * [(n, d, d)]), (n, d)), np.float64, zeros=True)
         paint = (None, np.int32(0)) if known is None else (constant(self._context, known), np.int32(known.shape[1]))
         results = [one.argument for one in out]
         head = given, np.uint64(told.shape[1]), which, np.int32(n), np.int32(unknowns), np.int32(side)
