@@ -1,7 +1,7 @@
-"""A mesh that is not quite its body: by how much poses are off, and spreads that say so (docs/model.md, section 5).
+"""A mesh that is not quite its body: by how much poses and their evidence are off (docs/model.md, section 5).
 
 It pulls a pose the same way from frame to frame, and what it leaves in an image paint takes up: no frame tells it. So
-it has no part in the filter, whose spreads are those of a mesh that is right, but in what is told.
+poses are followed as if it were right, but what tells one from another counts for less, and spreads are told wider.
 """
 
 from __future__ import annotations
@@ -12,8 +12,20 @@ import numpy as np
 
 from service.inference.belief import Belief
 from service.inference.domain import Domain
-from service.inference.model.prior import MESH_GROWTH, MESH_PLACE, MESH_TURN, POSE_DEGREES_OF_FREEDOM
+from service.inference.model.prior import (
+    EVIDENCE_TRUST,
+    MESH_DOUBT,
+    MESH_GROWTH,
+    MESH_PLACE,
+    MESH_TURN,
+    POSE_DEGREES_OF_FREEDOM,
+)
 from service.inference.state import Array, Mixture
+
+
+def evidence_trust(domain: Domain) -> float:
+    """Power of evidence from one mode to another: of lookalikes the wrong one may be more like a body that is off."""
+    return EVIDENCE_TRUST / (1 + (domain.prior.mesh_error / MESH_DOUBT) ** 4)
 
 
 def mesh_variance(log_scale: Array, domain: Domain) -> Array:

@@ -33,8 +33,8 @@ class PriorParams:
     """Standard deviation of `scale_px`, as a share of it. No scale farther than three of them is looked at."""
     mesh_error: float = 0.0
     """Relative error of the mesh, a standard deviation, where the body is not quite its model: 0.05 where parts are 5 %
-    off in size. It moves all poses of a pass alike, which no frame shows: spreads and particles are stated with it, by
-    a third of it in radians about each axis (1° for 0.05). Not for `bootstrap`."""
+    off in size. It moves all poses of a pass alike, which no frame shows: spreads and particles are stated with a third
+    of it in radians about each axis (1° for 0.05), and lookalikes stay in doubt for longer. Not for `bootstrap`."""
     attitude_mode: Literal["nadir_pointing", "yaw_steering", "sun_pointing"] | None = None
     """The body is believed to be held so: among poses that a frame cannot tell apart, those that are aligned go before.
     It needs `orbit`, and in each frame the camera's orientation; estimates whose modes it weighed have `attitude_mode`

@@ -58,7 +58,7 @@ def with_answer(after: Mixture, before: float, given: Given) -> Mixture:
     """With what its leader is told with where it fits; else with what it was told with ``before``."""
     if after.displaced is not None and after.displaced.probability < _LEAST:
         after = replace(after, displaced=None)
-    fits = float(told_existence(after)[existence.FITS])
+    fits = float(told_existence(after, given.domain.prior.mesh_error)[existence.FITS])
     now = before if fits < 0.5 else fits * leading_share(after, given.twins, given.domain)
     return replace(after, answered=now)
 

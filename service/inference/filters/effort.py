@@ -6,7 +6,7 @@ import numpy as np
 
 from service.inference.filters.given import Updated
 from service.inference.filters.status import told_existence
-from service.inference.model import existence, prior
+from service.inference.model import existence
 from service.inference.model.spread import PointSpread
 from service.inference.model.stages import WHOLE, Part
 from service.inference.state import Mixture
@@ -25,15 +25,15 @@ _LEAST_BETWEEN, _MOST_BETWEEN = 9, 1000
 _FRAMES_A_PART, _MOST_PARTS = 3, 12
 
 
-def is_doubted(mixture: Mixture) -> bool:
+def is_doubted(mixture: Mixture, mesh_error: float = 0.0) -> bool:
     """Whether the light that is seen is rather something else's, or the truth is not among the modes."""
-    return bool(told_existence(mixture)[existence.NO_FIT] >= 0.5)
+    return bool(told_existence(mixture, mesh_error)[existence.NO_FIT] >= 0.5)
 
 
-def is_open(mixture: Mixture) -> bool:
+def is_open(mixture: Mixture, mesh_error: float = 0.0) -> bool:
     """Whether two searches may have missed the truth: of little light, blurred, of what fits worse or is not alone."""
     missed = existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    known = mixture.ever_tracked and mixture.misses == 0 and not is_doubted(mixture)
+    known = mixture.ever_tracked and mixture.misses == 0 and not is_doubted(mixture, mesh_error)
     return not known or missed > _SURE or widths_across(mixture) < _RESOLVED
 
 
@@ -53,18 +53,18 @@ def frames_between(mixture: Mixture) -> int:
     return int(np.clip(_WORTH / (missed - still), _LEAST_BETWEEN, _MOST_BETWEEN))
 
 
-def part_due(before: Mixture | None, most_parts: int = _MOST_PARTS) -> Part | None:
+def part_due(before: Mixture | None, most_parts: int = _MOST_PARTS, mesh_error: float = 0.0) -> Part | None:
     """As often as it is likely that the truth was missed; a track that many searches could not better has few.
 
     They go on over the frames between them, part after part, so that no frame has to wait for a whole one.
     """
-    eager = _EAGER if before is None or is_open(before) else _EAGER_IF_SURE
+    eager = _EAGER if before is None or is_open(before, mesh_error) else _EAGER_IF_SURE
     if before is None or before.searches < eager:
         return WHOLE
     frames = before.since_search + 1
     if before.existence[existence.ABSENT] >= 0.5:  # what comes back is within reach of its prediction, as a rule
         return WHOLE if frames > 1 else None
-    if before.searches < eager + before.misses or is_doubted(before):
+    if before.searches < eager + before.misses or is_doubted(before, mesh_error):
         return WHOLE if frames >= _SOON else None
     between = frames_between(before)
     count = min(between // _FRAMES_A_PART, _MOST_PARTS, most_parts)
@@ -74,10 +74,9 @@ def part_due(before: Mixture | None, most_parts: int = _MOST_PARTS) -> Part | No
 
 def searched_nats(before: Mixture | None, searched: bool, updated: Updated) -> float:
     """Log evidence of the best mode against the empty sky, the mean of the frames that were searched."""
-    nats = float(updated.log_evidence / prior.EVIDENCE_TRUST)
     if before is None:
-        return nats
+        return updated.nats
     if not searched or updated.existence[existence.ABSENT] >= 0.5:
         return before.searched_nats
     known = before.searches + before.misses
-    return (known * before.searched_nats + nats) / (known + 1)
+    return (known * before.searched_nats + updated.nats) / (known + 1)

@@ -80,6 +80,6 @@ class Updated:
     nuisance: Nuisance
     log_chi2: Array  # (2,)
     log_light: float
-    log_evidence: float  # of this body against the empty sky, by the power that evidence between hypotheses counts
+    nats: float  # log evidence of this body against the empty sky
     n_followed: int  # K
     disturbed: float  # probability that something has come between, were the last answer right

@@ -18,7 +18,7 @@ from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.status import one_answer, status_of, told_existence
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.held import believed
-from service.inference.mesh_error import stated
+from service.inference.mesh_error import evidence_trust, stated
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import Quality
@@ -45,13 +45,13 @@ _LEAST = 1e-3  # numerical: probability below which a mode is dropped
 
 def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> tuple[FilterState, Estimate]:
     """The posterior after a frame."""
-    before = None if state is None else state.mixture
+    before, mesh_error = None if state is None else state.mixture, given.domain.prior.mesh_error
     noise = motion_noise(given.config.motion, given.domain)
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     ahead = None if before is None else predict(before, noise, dt_s)
     found = propose(rng, before, ahead, given)
     judged = judge(before, ahead, found, noise, given)
-    if judged is not None and before is None and found is not None and is_doubted(judged.after):
+    if judged is not None and before is None and found is not None and is_doubted(judged.after, mesh_error):
         once_more = looked(rng, Track(as_candidates(found), doubted=True), given, shake=True)
         judged = judge(before, ahead, once_more, noise, given) or judged
     if judged is None:
@@ -126,12 +126,13 @@ def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
 
 def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted | None, given: Given) -> Found | None:
     """What a search of the whole space, or a part of one, finds; None where none is due."""
-    part = part_due(before, most_parts(given.body, given.told))
+    mesh_error = given.domain.prior.mesh_error
+    part = part_due(before, most_parts(given.body, given.told), mesh_error)
     if part is None:
         return None
     track = None
     if before is not None and ahead is not None:
-        track = Track(Candidates(ahead.poses, ahead.suns, ahead.log_weights), is_doubted(before))
+        track = Track(Candidates(ahead.poses, ahead.suns, ahead.log_weights), is_doubted(before, mesh_error))
         if part.count > 1:
             return beside(rng, before, ahead, track, part, given)
     shake = before is not None and before.searches == 1  # what leads, once
@@ -278,9 +279,9 @@ def concluded(
         every = np.concatenate([one.pose.quaternion for one in updated.refined])
         log_weights = log_weights + given.held.log_ratio(every)
     best = updated.refined[int(np.argmax(log_weights))]
-    fit = existence.goodness(hill, best.fit)
-    evidence = best.fit.log_evidence, updated.log_evidence
-    estimate = estimate_of(told, poses, status, given.domain, told_existence(after), evidence, fit)
+    fit, existed = existence.goodness(hill, best.fit), told_existence(after, given.domain.prior.mesh_error)
+    evidence = best.fit.log_evidence, evidence_trust(given.domain) * updated.nats
+    estimate = estimate_of(told, poses, status, given.domain, existed, evidence, fit)
     count = len(poses)
     even = np.full(count, -np.log(count))
     return FilterState(poses, even, rates, given.index, given.time_s, status, {}, after), estimate

@@ -18,20 +18,20 @@ SURE = 0.9  # contract: probability from which on an answer is told as one
 _EQUIVALENT_DEG = 5.0  # contract: modes whose rotations are nearer are one answer
 
 
-def told_existence(mixture: Mixture) -> Array:
+def told_existence(mixture: Mixture, mesh_error: float = 0.0) -> Array:
     """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body, nor what
-    a cloud makes of one.
+    a cloud makes of one. ``mesh_error``: ``PriorParams``.
     """
     absent, fits, no_fit = mixture.existence
     met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    kept = fits * met * existence.of_this_body(mixture.discrepancy)
+    kept = fits * met * existence.of_this_body(mixture.discrepancy, mesh_error)
     kept *= 1.0 if mixture.displaced is None else 1 - mixture.displaced.probability
     return np.array([absent, kept, no_fit + fits - kept])
 
 
 def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> str:
     """One of ``state.STATUSES``, read off the probabilities."""
-    absent, fits, _ = told_existence(mixture)
+    absent, fits, _ = told_existence(mixture, domain.prior.mesh_error)
     if absent >= SURE:
         return "no_target"
     if fits < 0.5:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from service.inference.domain import Domain
 from service.inference.estimate import short_way, tangent
 from service.inference.filters.given import Given, Predicted, Updated
+from service.inference.mesh_error import evidence_trust
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import turned_alike
 from service.inference.model.dynamics import corrected, new_born
@@ -56,6 +57,7 @@ def weigh(
     """All modes with what the frame says of them, and of whether any of them is true."""
     modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
     lead = max(modes, key=lambda mode: mode.log_weight, default=None)
+    trust = evidence_trust(given.domain)
     level, afresh = None, -np.inf  # weight of no evidence in this frame; evidence of the leader were its paint unknown
     other, looks = neighbour(nuisance, given.index, hill.scene.hidden), (-np.inf, -np.inf, -np.inf)
     new = newborn(refined, ahead, found, given)
@@ -64,13 +66,13 @@ def weigh(
         others = [one.fit.log_evidence for one, k in new if k is not None and modes[k] is lead]
         afresh = max([looks[0], *others])
         alone = lead.alone + afresh - lead.one.fit.log_evidence
-        level = lead.log_weight - prior.EVIDENCE_TRUST * alone
+        level = lead.log_weight - trust * alone
     for one, k in new:
         if ahead is None or k is None:
             unlearnt = paint.unlearnt(len(one.fit.coefficients))
             modes.append(born(one, level, len(new), unlearnt, noise, given.domain))
         else:
-            same = modes[k].log_weight - prior.EVIDENCE_TRUST * modes[k].alone
+            same = modes[k].log_weight - trust * modes[k].alone
             one = repainted(one, ahead.paint[k], hill, given.domain.wrapping)
             modes.append(born(one, same, len(new), ahead.paint[k], noise, given.domain))
     best = max(modes, key=lambda mode: mode.log_weight)
@@ -94,7 +96,7 @@ def weigh(
         nuisance=other if better else nuisance,
         log_chi2=existence.usual_chi2(log_chi2_before(before), best.one.fit.chi2, fits),
         log_light=existence.usual_light(None if before is None else before.log_light, light, fits),
-        log_evidence=prior.EVIDENCE_TRUST * (explained - absent),
+        nats=explained - absent,
         n_followed=len(refined),
         disturbed=0.0 if ahead is None else come_between(modes, best, hill, other, ahead, before),
     )
@@ -109,7 +111,7 @@ def followed(k: int, one: Refined, ahead: Predicted, domain: Domain) -> Weighed:
     narrowed = 0.5 * float(np.linalg.slogdet(one.covariance)[1] - np.linalg.slogdet(wide)[1])
     narrowed += 2 * float(np.log(one.sun_sigma / ahead.sun_sigmas[k]))
     away = -0.5 * float(shift @ np.linalg.solve(wide, shift))
-    weight = float(ahead.log_weights[k]) + prior.EVIDENCE_TRUST * (one.log_posterior + narrowed)
+    weight = float(ahead.log_weights[k]) + evidence_trust(domain) * (one.log_posterior + narrowed)
     return Weighed(one, rates, covariance, weight, narrowed + away, one.log_posterior - away, ahead.paint[k])
 
 
@@ -125,9 +127,10 @@ def born(
     d = len(one.covariance)
     narrow = 0.5 * float(np.linalg.slogdet(one.covariance)[1])
     share = narrow + 0.5 * d * float(np.log(2 * np.pi)) - domain.log_volume
-    weight = prior.EVIDENCE_TRUST * one.log_posterior
+    trust = evidence_trust(domain)
+    weight = trust * one.log_posterior
     if level is None:
-        weight += prior.EVIDENCE_TRUST * (narrow + 2 * float(np.log(one.sun_sigma)))
+        weight += trust * (narrow + 2 * float(np.log(one.sun_sigma)))
     else:
         weight += level + float(np.log(prior.BIRTH / siblings))  # one of them at the most is the truth
     return Weighed(one, np.zeros(d), new_born(one.covariance, noise), weight, share, one.log_posterior, expected)

@@ -110,12 +110,14 @@ def missed(searches: int, misses: int = 0, *, nats: float) -> float:
     return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
 
 
-def of_this_body(discrepancy: float) -> float:
+def of_this_body(discrepancy: float, mesh_error: float = 0.0) -> float:
     """Probability that the model is the body's, by the discrepancy that its frames ask for.
 
-    It is the same in all frames, so it counts once, and not frame after frame.
+    It is the same in all frames, so it counts once, and not frame after frame. A mesh that is known to be off, by
+    ``mesh_error``, asks for more of its own.
     """
-    above = max(float(np.log(discrepancy / prior.DISCREPANCY_OWN)), 0.0)
+    least = float(np.hypot(prior.DISCREPANCY_OWN, prior.MESH_DISCREPANCY * mesh_error))
+    above = max(float(np.log(discrepancy / least)), 0.0)
     own = -0.5 * (above / prior.DISCREPANCY_OWN_LOG_SIGMA) ** 2 + float(np.log(2 / prior.DISCREPANCY_OWN_LOG_SIGMA))
     median, sigma = prior.DISCREPANCY_UNLIKE
     other = -0.5 * (float(np.log(discrepancy / median)) / sigma) ** 2 - float(np.log(sigma))

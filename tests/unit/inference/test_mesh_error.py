@@ -1,4 +1,4 @@
-"""Spreads of bodies that are not quite their mesh."""
+"""Bodies that are not quite their mesh: spreads, and what evidence is worth."""
 
 from dataclasses import replace
 
@@ -10,8 +10,10 @@ from service.inference.articulation import Articulation, Joint
 from service.inference.belief import belief_of_mixture
 from service.inference.domain import Domain
 from service.inference.filters.answer import drawn, mode_spread
-from service.inference.mesh_error import mesh_variance, stated, stated_belief
+from service.inference.filters.status import told_existence
+from service.inference.mesh_error import evidence_trust, mesh_variance, stated, stated_belief
 from service.inference.model import prior
+from service.inference.model.existence import of_this_body
 from service.inference.params import PriorParams
 from service.inference.smoothed import summarise_belief
 from service.inference.state import FilterState
@@ -69,6 +71,21 @@ def test_spread_particles_and_smoothed_spread_say_so():
     smoothed = summarise_belief(stated_belief(belief, where), (), where, with_rates=False)
     assert smoothed.spread.orientation_deg == pytest.approx(told.orientation_deg, rel=1e-3)
     assert smoothed.spread.x_px == pytest.approx(told.x_px, rel=1e-6)
+
+
+def test_evidence_counts_for_less_the_less_the_mesh_is_like_the_body():
+    trust = [evidence_trust(domain(error)) for error in (0.0, 0.02, prior.MESH_DOUBT, 0.05)]
+    assert trust[0] == prior.EVIDENCE_TRUST and trust[2] == pytest.approx(0.5 * trust[0])
+    assert trust[1] > 0.7 * trust[0] and trust[3] < 0.1 * trust[0]
+
+
+def test_a_mesh_that_is_off_asks_for_more_discrepancy_of_its_own():
+    assert of_this_body(0.02, 0.0) == of_this_body(0.02)
+    told = [of_this_body(0.03, error) for error in (0.0, 0.02, 0.05)]
+    assert told == sorted(told) and told[2] > 0.85 > 0.6 > told[0]
+    assert of_this_body(0.2, ERROR) < 0.5  # another body's all the same
+    held = mixture(discrepancy=0.03)
+    assert told_existence(held, ERROR)[1] > told_existence(held)[1]
 
 
 def state_of(held) -> FilterState:
