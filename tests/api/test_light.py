@@ -139,7 +139,7 @@ async def test_a_time_without_an_ephemeris_is_refused(api):
 
 
 async def test_a_told_scale_bounds_the_search(api):
-    prior = {"scale_px": 12.0, "scale_sigma": 0.05}
+    prior = {"scale_px": 12.0, "scale_sigma": 0.05, "mesh_error": 0.03}
     session_id = await api.ready_session(camera={**SITE, "pixel_scale_arcsec": 0.5}, prior=prior)
     await light(api, session_id)
     assert Recorder.jobs[-1].scale_px == pytest.approx((12 * np.exp(-0.15), 12 * np.exp(0.15)))
@@ -148,7 +148,8 @@ async def test_a_told_scale_bounds_the_search(api):
     await light(api, session_id, time=LIT)
     assert Recorder.jobs[-1].scale_px == pytest.approx((12 * np.exp(-0.15), 12 * np.exp(0.15)))
     model_id = (await api.model()).json()["model_id"]
-    for bad in ({"scale_px": 0}, {"scale_px": -3}, {"scale_px": 1e9}, {"scale_sigma": 0}, {"scale_sigma": 3}):
+    scales = {"scale_px": 0}, {"scale_px": -3}, {"scale_px": 1e9}, {"scale_sigma": 0}, {"scale_sigma": 3}
+    for bad in (*scales, {"mesh_error": -0.01}, {"mesh_error": 1}):
         answer = await api.http.post("/v1/sessions", json={"model_id": model_id, "prior": bad})
         assert answer.status_code == 422, bad
 
