@@ -149,14 +149,13 @@ class LightEvidence:
         host = inputs_of(several, numbers)
         shapes = [(n, count) for count in (4, n_planes, unknowns, *details)]
         asked = Asked(n_groups, n_planes, side, unknowns, terms.speckle, terms.shifts, rounds)
-        told = [np.empty(shape, np.float32) for shape in shapes] if n == 0 or self._groups is not None else []
-        if n == 0:
-            return told
+        held = np.ascontiguousarray(planes, np.float32)
         with device_errors(self.name):
-            held = np.ascontiguousarray(planes, np.float32)
-            if self._groups is None:
+            if n and self._groups is None:
                 return self._by_items(held, host, asked, shapes)
-            self.kernel_seconds = self._groups.weigh(held, host, asked, told[:3], told[3] if details else None)
+            told = [np.empty(shape, np.float32) for shape in shapes]
+            if n and self._groups is not None:
+                self.kernel_seconds = self._groups.weigh(held, host, asked, told[:3], told[3] if details else None)
         return told
 
     def _by_items(

@@ -117,18 +117,11 @@ def landing(
 
 def landed(queue: cl.CommandQueue, *results: Landing) -> None:
     """Wait until what kernels wrote is there."""
-    buffers = [(one.argument, one.values) for one in results if isinstance(one.argument, cl.Buffer)]
-    if buffers:
-        take_back(queue, *buffers)
-    else:
-        queue.finish()
-
-
-def take_back(queue: cl.CommandQueue, *results: tuple[cl.Buffer, NDArray[np.generic]]) -> None:
-    """Wait until what kernels wrote to lent arrays is in them."""
-    for buffer, values in results:
-        mapped, _ = cl.enqueue_map_buffer(queue, buffer, cl.map_flags.READ, 0, values.shape, values.dtype)
-        mapped.base.release(queue)
+    for one in results:
+        if isinstance(one.argument, cl.Buffer):
+            shape, dtype = one.values.shape, one.values.dtype
+            mapped, _ = cl.enqueue_map_buffer(queue, one.argument, cl.map_flags.READ, 0, shape, dtype)
+            mapped.base.release(queue)
     queue.finish()
 
 

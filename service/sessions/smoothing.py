@@ -113,7 +113,7 @@ def _job(
         height=int(info["height"]),
         beliefs=tuple(row.belief for row in rows),
         count=count,
-        radius=0.5 * float(np.linalg.norm(model.report["size"])),
+        radius=0.5 * float(np.linalg.norm(model.report["size"])),  # of its box: no smaller
     )
 
 

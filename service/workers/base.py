@@ -210,7 +210,7 @@ class SmoothJob:
     height: int
     beliefs: tuple[bytes | None, ...]
     count: int  # frames to answer, from the first on; the others are only what came after
-    radius: float = 1.0  # of the body, model units
+    radius: float = 1.0  # of the body, model units: by which the place of one that is not its mesh is off
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,9 @@ def smooth_pass(job: SmoothJob) -> SmoothReport:
     space = Space(motion_noise(job.config.motion, domain), domain, told)
     with_rates = job.config.motion.kind == "constant_velocity"
     found = smooth(filtered, space)[: job.count]
-    wide = (None if b is None else stated_belief(b, domain) for b in found)
-    told_of = (None if b is None else summarise_belief(b, told, domain, with_rates) for b in wide)
+    told_of = (
+        None if b is None else summarise_belief(stated_belief(b, domain), told, domain, with_rates) for b in found
+    )
     return SmoothReport(tuple(None if e is None else smoothed_in_full_frame(e, camera) for e in told_of))
 
 

@@ -45,12 +45,13 @@ _LEAST = 1e-3  # numerical: probability below which a mode is dropped
 
 def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> tuple[FilterState, Estimate]:
     """The posterior after a frame."""
-    before, mesh_error = None if state is None else state.mixture, given.domain.prior.mesh_error
+    before = None if state is None else state.mixture
     noise = motion_noise(given.config.motion, given.domain)
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     ahead = None if before is None else predict(before, noise, dt_s)
     found = propose(rng, before, ahead, given)
     judged = judge(before, ahead, found, noise, given)
+    mesh_error = given.domain.prior.mesh_error
     if judged is not None and before is None and found is not None and is_doubted(judged.after, mesh_error):
         once_more = looked(rng, Track(as_candidates(found), doubted=True), given, shake=True)
         judged = judge(before, ahead, once_more, noise, given) or judged

@@ -26,10 +26,8 @@ EDGE_PX = 2.0  # discrepancy of places: mesh and mean pose are so far from right
 POSE_DEGREES_OF_FREEDOM = 4.0  # of a pose: c tau^2 is known to a factor of two, a variance so known gives a Student t
 CHI2_DEGREES_OF_FREEDOM = 4.0  # that a frame's mean square of what is left over adds: it is alike all over a body
 MESH_DISCREPANCY = 0.17  # tau of a body's own mesh, per unit of its relative error: of 39 passes
-MESH_DOUBT = (
-    0.026  # relative error of a mesh at which evidence between modes is worth half: the nats it adds go with its
-)
-# square, what a nat is worth with one over their variance; of 168 frames 0.04 at 0.05, of 84 as ever at 0.02
+MESH_DOUBT = 0.026  # relative error of a mesh at which evidence between modes is worth half: its nats go with the
+# error's square, what one is worth with one over their variance; of 168 frames 0.04 at 0.05, of 84 as ever at 0.02
 MESH_TURN, MESH_PLACE, MESH_GROWTH = 0.33, 0.12, 0.3  # rad, share of the radius, log scale: the best pose is off by so
 # much per unit of a mesh's relative error: of 38 passes of 14 bodies whose pieces are off by 5 %
 LOW_PASS_SHARE = 0.5  # the frame's own low pass, as a share of the point spread's width: what is finer is speckle of

@@ -178,7 +178,7 @@ def test_a_told_attitude_mode_weighs_the_answer_and_nothing_that_is_carried_on()
     assert estimate.status == "tracking" and error_deg(estimate, 2) < 3.0
 
 
-def test_a_mesh_that_is_off_widens_the_answer_and_nothing_that_is_carried_on():
+def test_a_mesh_that_is_off_widens_the_answer_and_no_pose_that_is_carried_on():
     (state, _), (held, plain), asked = *passed()[1:3], given(frame(2), 2)
     off = replace(asked.domain, prior=replace(asked.domain.prior, mesh_error=0.05))
     after, told = step(np.random.default_rng([7, 2]), state, replace(asked, domain=off))
