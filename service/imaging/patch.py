@@ -15,7 +15,7 @@ from service.imaging.sky import Sky
 
 Map = NDArray[np.float32]
 
-# numerical: looked at for a frame's own level; share of the half width
+# numerical: looked at for a level of the sky; share of the half width
 _LEVEL_PIXELS, _LEVEL_BORDER = 4_096, 0.15
 _LEVEL_ROUNDS, _LEVEL_SIGMAS = 3, 3.0  # numerical
 _LEAST_BRIGHT_PX = 64  # numerical: from which light's own noise is told
@@ -88,12 +88,25 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     weight /= weight.sum()
     share = weight.astype(np.float32)
     sigma = float(np.sqrt(weight @ sky.covariance @ weight))
-    above = np.asarray((data - mean) @ share, np.float32)
+    above = _weighed(data - mean, share)
     above -= _own_level(above, sigma)
     photon = _photon_transfer(above, sigma)
-    level = max(float(np.median(mean @ share)), 0.0)
+    every = _thinned(above.size)
+    level = max(float(np.median(_weighed(mean[::every, ::every], share))), 0.0)
     censored = data.max(axis=2) >= (1 << bits) - 1
     return Light(above, sigma, photon, level, censored, (columns.start, rows.start))
+
+
+def _weighed(channels: Map, share: Map) -> Map:
+    """(H, W) sum of channels (H, W, C), each times its share (C,)."""
+    if len(share) == 1:  # NumPy's product takes as long as all else that is asked of a frame
+        return np.asarray(channels[..., 0] * share[0], np.float32)
+    return np.asarray(channels @ share, np.float32)
+
+
+def _thinned(size: int) -> int:
+    """Every how manieth row and column of so many pixels tells a level well enough."""
+    return max(1, int(np.sqrt(size / _LEVEL_PIXELS)))
 
 
 def _own_level(above: Map, sigma: float) -> Map:
@@ -102,7 +115,7 @@ def _own_level(above: Map, sigma: float) -> Map:
     Guessed from the border, where the object seldom is, then fitted to all that looks like such a sky. Where most of
     the border does not, it is no plane that has changed, and nothing is taken away.
     """
-    every = max(1, int(np.sqrt(above.size / _LEVEL_PIXELS)))  # a sample tells the level well enough
+    every = _thinned(above.size)
     across, down, terms, edge = _plane_of(above.shape, every)
     some = above[::every, ::every]
     plane = fitted(terms[:, edge], some[edge])[0]

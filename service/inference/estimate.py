@@ -30,7 +30,7 @@ def mean_rotation(quaternion: Array, weights: Array) -> Array:
 
     Starts from the chordal mean (Markley et al. 2007), which is unique where the weights are not spread evenly.
     """
-    moment = np.einsum("n,ni,nj->ij", weights, quaternion, quaternion)
+    moment = (weights[:, None] * quaternion).T @ quaternion
     mean = np.linalg.eigh(moment)[1][:, -1]
     for _ in range(10):
         step = weights @ log_so3(multiply(conjugate(mean), quaternion))
@@ -71,7 +71,7 @@ def spread(poses: Poses, weights: Array, mean: Poses, wrapping: NDArray[np.bool_
     """Weighted second moments about ``mean``."""
     x = tangent(mean, poses, wrapping)
     x[:, :3] = np.rad2deg(x[:, :3])
-    covariance = np.einsum("n,ni,nj->ij", weights, x, x)
+    covariance = (weights[:, None] * x).T @ x
     turns = yaw_pitch_roll_deg(poses.quaternion) - yaw_pitch_roll_deg(mean.quaternion)
     turns = np.mod(turns + 180.0, 360.0) - 180.0
     euler = np.sqrt(weights @ turns**2)

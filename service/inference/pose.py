@@ -56,7 +56,7 @@ def _parts(q: Array) -> tuple[Array, Array, Array, Array]:
 
 def _length(vector: Array) -> Array:
     """(..., 1) of (..., d)."""
-    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vector, vector))[..., None], dtype=np.float64)
+    return np.asarray(np.sqrt(np.vecdot(vector, vector))[..., None], dtype=np.float64)
 
 
 def conjugate(q: Array) -> Array:

@@ -8,7 +8,7 @@ too: a panel mirrored with its body turns the other way, a flat panel looks the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class Symmetry:
     joint_sign: tuple[float, ...] = ()  # one per joint of the whole articulation, by position
     joint_shift: tuple[float, ...] = ()
 
-    @property
+    @cached_property
     def kind(self) -> str:
         """``mirror``, ``rotation``, or ``joint`` (the body stays, a joint value has a twin)."""
         m = np.asarray(self.matrix)
