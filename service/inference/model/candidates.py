@@ -26,7 +26,7 @@ SHARED_DEG = 5.0  # numerical: poses nearer than this are one basin while it is 
 _JOINT_APART = 0.06
 _TURNED_ALIKE = 4  # numerical: basins that differ in their joints alone: more would crowd out other rotations
 
-_AT_ONCE_BYTES = 1 << 26  # numerical: of pictures that are drawn at once
+_AT_ONCE_BYTES = 1 << 24  # numerical: of pictures that are drawn at once: of more the pages come anew each time
 
 
 @dataclass(frozen=True)
