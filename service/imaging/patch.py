@@ -105,7 +105,7 @@ def _weighed(channels: Map, share: Map) -> Map:
 
 
 def _thinned(size: int) -> int:
-    """Every how manieth row and column of so many pixels tells a level well enough."""
+    """Step from row to row, and column to column, at which so many pixels still tell a level well enough."""
     return max(1, int(np.sqrt(size / _LEVEL_PIXELS)))
 
 

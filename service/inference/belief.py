@@ -12,6 +12,7 @@ from service.inference.model.prior import POSE_DEGREES_OF_FREEDOM
 from service.inference.modes import LEAST_MODE, MOST_MODES, cluster, distance, metric_of
 from service.inference.pose import concatenate
 from service.inference.state import Array, FilterState, Mixture, Poses, Rates
+from service.inference.weights import second_moment
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def belief_of(state: FilterState, domain: Domain) -> Belief | None:
         mean = domain.wrap(mean_pose(state.poses[members], inner, domain.wrapping))
         rate = inner @ state.rates[members]
         x = np.hstack([tangent(mean, state.poses[members], domain.wrapping), state.rates[members] - rate])
-        covariance = np.einsum("n,ni,nj->ij", inner, x, x)
+        covariance = second_moment(inner, x)
         means.append(mean)
         rate_means.append(rate)
         covariances.append(covariance)

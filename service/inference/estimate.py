@@ -19,7 +19,7 @@ from service.inference.pose import (
     yaw_pitch_roll_deg,
 )
 from service.inference.state import Array, Estimate, Mode, Outcome, PoseEstimate, Poses, Spread
-from service.inference.weights import effective_sample_size
+from service.inference.weights import effective_sample_size, second_moment
 
 LEFT_OUT = 0.01  # shown: modes that hold less than this share together are not listed
 NEGLIGIBLE_NATS = 50.0  # numerical: ten million particles so much lighter than the heaviest change no digit of a sum
@@ -30,8 +30,7 @@ def mean_rotation(quaternion: Array, weights: Array) -> Array:
 
     Starts from the chordal mean (Markley et al. 2007), which is unique where the weights are not spread evenly.
     """
-    moment = (weights[:, None] * quaternion).T @ quaternion
-    mean = np.linalg.eigh(moment)[1][:, -1]
+    mean = np.linalg.eigh(second_moment(weights, quaternion))[1][:, -1]
     for _ in range(10):
         step = weights @ log_so3(multiply(conjugate(mean), quaternion))
         mean = multiply(mean, exp_so3(step))
@@ -71,7 +70,7 @@ def spread(poses: Poses, weights: Array, mean: Poses, wrapping: NDArray[np.bool_
     """Weighted second moments about ``mean``."""
     x = tangent(mean, poses, wrapping)
     x[:, :3] = np.rad2deg(x[:, :3])
-    covariance = (weights[:, None] * x).T @ x
+    covariance = second_moment(weights, x)
     turns = yaw_pitch_roll_deg(poses.quaternion) - yaw_pitch_roll_deg(mean.quaternion)
     turns = np.mod(turns + 180.0, 360.0) - 180.0
     euler = np.sqrt(weights @ turns**2)

@@ -25,7 +25,7 @@ from service.inference.motion import MotionNoise, carry_on
 from service.inference.pose import concatenate, exp_so3, retract, rotation_matrices
 from service.inference.state import Array, Poses
 from service.inference.symmetry import Symmetry, twin, twin_rates
-from service.inference.weights import log_sum_exp
+from service.inference.weights import log_sum_exp, second_moment
 
 LEAST_DT_S = 1e-3  # numerical: as in the filter
 _FLOOR = 1e-12  # numerical: of a variance, so that a rate that never changes can be inverted
@@ -181,7 +181,7 @@ def _collect(
         shift = weights @ shifts
         rest = shifts - shift
         covariance = np.einsum("n,nij->ij", weights, np.array([c for _, _, c in merged[i]]))
-        covariance += np.einsum("n,ni,nj->ij", weights, rest, rest)
+        covariance += second_moment(weights, rest)
         poses.append(_inside(retract(belief.poses[np.array([i])], shift[None, :d]), domain))
         rates.append(belief.rates[i] + shift[d:])
         covariances.append(0.5 * (covariance + covariance.T))
