@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.bench.altered import altered
 from service.bench.brightness import counts, pixels
 from service.bench.canvas import on_canvas
 from service.bench.cases import Case
@@ -28,6 +29,7 @@ class Told:
     stretch: float | None = None  # the frames' counts are the light to this power, and that is told
     mesh_error: bool = True
     canvas: int | None = None  # the frames lie in the midst of an image of this side, px
+    altered: str | None = None  # one of ``altered.ALTERATIONS``: what a program did to the frames, and nobody tells
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
         """A session's configuration with what it is told. What was set already stays as it is."""
@@ -44,17 +46,20 @@ class Told:
         return config
 
     def shown(self, case: Case) -> Case:
-        """The case as a camera would show it that sees more of the sky, or stretches light."""
-        power = self.stretch
+        """The case as a camera would show it that sees more of the sky, or stretches light, and a program leave it."""
         if self.canvas is not None:
             case = on_canvas(case, self.canvas)
-        if power is None:
-            return case
-        return replace(
-            case,
-            backgrounds=lambda: (stretched(body, power) for body in case.backgrounds()),
-            frames=lambda: ((stretched(body, power), truth) for body, truth in case.frames()),
-        )
+        if self.stretch is not None:
+            case = _stretched(case, self.stretch)
+        return case if self.altered is None else altered(case, self.altered)
+
+
+def _stretched(case: Case, power: float) -> Case:
+    return replace(
+        case,
+        backgrounds=lambda: (stretched(body, power) for body in case.backgrounds()),
+        frames=lambda: ((stretched(body, power), truth) for body, truth in case.frames()),
+    )
 
 
 def stretched(body: bytes, power: float) -> bytes:

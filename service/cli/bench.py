@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -38,6 +38,7 @@ Frames = Annotated[int | None, typer.Option(min=1, help="Of each simulated pass;
 Materials = Annotated[str | None, typer.Option(help="Of simulated passes: painted, or mixed as real ones are.")]
 Root = Annotated[Path | None, typer.Option("--meshes", help="Where the sequences' meshes lie, if not beside them.")]
 Settled = Annotated[int, typer.Option("--from", min=0, help="Visible frames that count for acquisition only.")]
+Alteration = Literal["jpeg", "video", "denoised", "sharpened", "clock"]
 Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE for all sessions; may be repeated.")]
 
 bench.command()(scorers)
@@ -87,13 +88,15 @@ def track(
     untied: Annotated[
         float | None, typer.Option(help="All joints move on their own, each known within so many degrees.")
     ] = None,
+    altered: Annotated[Alteration | None, typer.Option(help="What a program did to the frames; nobody tells.")] = None,
 ) -> None:
     """Run presets over passes with known truth."""
     from service.bench.runner import Terms
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    terms = Terms(limit, settled, Told(not nosun, sun_off, known_range, not own_sky, stretch, not exact_mesh, canvas))
+    told = Told(not nosun, sun_off, known_range, not own_sky, stretch, not exact_mesh, canvas, altered)
+    terms = Terms(limit, settled, told)
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())
         selection = Selection(folder, names, meshes, passes, seed, bodies, joints, size, frames, materials, untied)

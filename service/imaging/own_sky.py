@@ -25,6 +25,8 @@ _FAINT_PX = 4  # prior: the same, of a small one
 _BRIGHT_SHARE = 0.1  # prior: of the peak: light that is taken for the object's before the haze is known
 _HAZE_SHARE = 0.1  # prior: of the image's side: what is narrower is no haze
 _HAZE_SIDE_PX = 96  # numerical: it is smooth, so it is looked for in a picture of this size
+# numerical: share of an empty frame that is neither star nor hot; over so many sigmas it is never more than white noise
+_SKY, _SKY_SIGMAS = 0.9, 2.2
 _LEAST_SIGMA = 0.5  # exact: counts: below it quantisation is the noise
 
 
@@ -70,9 +72,12 @@ def some_of(where: NDArray[np.bool_], most: int) -> NDArray[np.intp]:
     return chosen[:: max(1, len(chosen) // most) | 1]  # odd: no column of an image of even width is left out
 
 
-def fitted(columns: NDArray[np.float32], values: NDArray[np.float32]) -> tuple[Array, float]:
+def fitted(columns: NDArray[np.float32], values: NDArray[np.float32], *, empty: bool = False) -> tuple[Array, float]:
     """Coefficients (T,) of ``columns`` (T, N) to (N,) pixels, and their noise, without what stands out: stars, hot
     pixels.
+
+    ``empty``: nothing but sky and stars is there. Of a compressed image most of that may be one value: the median then
+    says nothing of what is left, of which all but a tenth is sky.
     """
     level = np.zeros(len(columns))
     level[0] = np.median(values)
@@ -80,6 +85,8 @@ def fitted(columns: NDArray[np.float32], values: NDArray[np.float32]) -> tuple[A
     for _ in range(_ROUNDS):
         residual = values - level @ columns
         sigma = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_SIGMA)
+        if empty:
+            sigma = max(sigma, float(np.quantile(np.abs(residual), _SKY)) / _SKY_SIGMAS)
         inside = np.abs(residual) <= _OUTLIER_SIGMAS * sigma
         chosen = columns[:, inside]
         level = np.linalg.lstsq(chosen @ chosen.T, chosen @ values[inside], rcond=None)[0]

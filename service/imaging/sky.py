@@ -16,6 +16,7 @@ from service.imaging.own_sky import SURFACE_SAMPLE, filled, fitted, some_of, sur
 
 _HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
 _SQUARE, _CHANCE = 8, 6.0  # numerical: px that noise may be alike over; standard deviations
+_LOUD, _BEYOND = 0.98, 1.5  # numerical: of squares: more than are full of stars; of white noise less than four sigma
 _PLANE = 3  # exact: numbers of a frame's own plane, which its squares no longer have
 _SAMPLE = 32_768  # numerical: pixels of a frame that tell its level, and noise to half a percent
 _COARSE_PX = 256  # numerical: a side at which a sky is smoothed
@@ -60,7 +61,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     noise = _noise(residual[:, known[some]])
     if few:
         mean = _with_hot(smooth, mean, frames, noise) if len(frames) > 2 else smooth
-    noise = noise * _alike(residual, known[some])
+    noise = _over_squares(residual, known[some], noise)
     return Sky(
         np.ascontiguousarray(mean + median_of(planes), dtype=np.float32),
         noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0)),  # below half a count quantisation is the noise
@@ -108,44 +109,58 @@ def _planes(
     x, y = (np.broadcast_to(one, known[some].shape).ravel()[chosen] for one in (across[some[1]], down[some[0]]))
     terms = np.stack([np.ones_like(x), x, y])
     seen = frames[:, *some].reshape(len(frames), -1, frames.shape[3])[:, chosen].astype(np.float32)
-    found = np.array([[fitted(terms, values)[0] for values in frame.T] for frame in seen], np.float32)
+    found = np.array([[fitted(terms, values, empty=True)[0] for values in frame.T] for frame in seen], np.float32)
     level, right, below = np.moveaxis(found, 2, 0)[:, :, None, None]
     return np.asarray((level + right * across[:, None]) + below * down[:, None, None], np.float32)
 
 
-def _noise(residual: NDArray[np.float32]) -> NDArray[np.float64]:
-    """(K, M, C) -> (C, C) covariance of what lies within four of the robust deviations.
+def _noise(residual: NDArray[np.float32], loud: NDArray[np.float32] | None = None) -> NDArray[np.float64]:
+    """(K, M, C) -> (C, C) covariance of what lies within four of the robust deviations, or is no more than ``loud``.
 
     The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
     fifth off at two counts.
     """
     robust = 1.4826 * np.median(np.abs(residual), axis=(0, 1))
-    inside = np.abs(residual) <= 4 * np.maximum(robust, 0.5)
+    inside = np.abs(residual) <= np.maximum(4 * np.maximum(robust, 0.5), 0.0 if loud is None else loud)
     seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
     both = inside.reshape(seen.shape).astype(np.float64)
     return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
 
 
-def _alike(residual: NDArray[np.float32], known: NDArray[np.bool_]) -> float:
-    """Pixels whose noise is one: by how much the variance of squares' means exceeds that of white noise; 1 where chance
-    may be the reason.
+def _over_squares(
+    residual: NDArray[np.float32], known: NDArray[np.bool_], noise: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """``noise`` (C, C) of a pixel, or of white noise that is as loud over squares, where that is more than chance.
 
     Noise of enlarged, stacked or filtered images is alike in neighbours. As light is as smooth there, white noise that
-    is as loud over a square says what such an image can tell. Differences of frames have no pattern of the sensor's.
+    is as loud over a square says what such an image can tell. Of images that were compressed most of the sky is one
+    value, and the rest is off by whole squares, often by the same from frame to frame: no pixel's noise shows it, and
+    no difference of frames. What white noise would do is told by as many pixels from all over.
     """
-    changes = np.diff(residual, axis=0) if len(residual) > 1 else residual
-    n, height, width, channels = changes.shape
-    rows, columns = height // _SQUARE, width // _SQUARE
+    n, height, width, channels = residual.shape
+    rows, columns, pixels = height // _SQUARE, width // _SQUARE, _SQUARE**2
     shape = (n, rows, _SQUARE, columns, _SQUARE, channels)
-    squares = changes[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).mean(axis=(2, 4))
     whole = known[: rows * _SQUARE, : columns * _SQUARE].reshape(shape[1:5]).all(axis=(1, 3))
     count = int(np.count_nonzero(whole))
     if count <= _PLANE:
-        return 1.0
-    loud, white = np.trace(_noise(_SQUARE * squares[:, whole])), np.trace(_noise(changes[:, known]))
+        return noise
+    squares = residual[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).swapaxes(2, 3)[:, whole]
+    together = squares.reshape(n, count, pixels, channels)
+    apart = squares.reshape(n, pixels, count, channels).swapaxes(1, 2)
+    loud, white = (_loudness(one) for one in (together, apart))
     loud *= count / (count - _PLANE)
     chance = _CHANCE * np.sqrt(2 / (n * count))
-    return float(loud / white) if loud > (1 + chance) * white > 0 else 1.0
+    return loud if np.trace(loud) > max((1 + chance) * np.trace(white), np.trace(noise)) else noise
+
+
+def _loudness(groups: NDArray[np.float32]) -> NDArray[np.float64]:
+    """(K, M, P, C) pixels -> (C, C) covariance of white noise whose means over P are as loud as those of the groups'
+    middle halves, in which there is no star.
+    """
+    pixels = groups.shape[2]
+    middle = np.sort(groups, axis=2)[:, :, pixels // 4 : -pixels // 4]
+    means = np.float32(np.sqrt(pixels)) * middle.mean(axis=2)
+    return _noise(means, _BEYOND * np.quantile(np.abs(means), _LOUD, axis=(0, 1)).astype(np.float32))
 
 
 def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,0 +1,107 @@
+"""Passes as programs leave them before anybody posts them: compressed, as a video, denoised, sharpened, with a clock.
+
+Compression and denoising know eight bits alone; images of sixteen stay as they are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+
+from service.bench.brightness import counts, pixels
+from service.bench.cases import Case, TruthFrame
+from service.bench.folder import SequenceError
+from service.imaging.decode import Pixels
+from service.simulate.folder import encode_png
+
+_JPEG_QUALITY = 30
+_DENOISED = 10.0  # strength of the non-local means: noise of three counts is gone
+_SHARPENED, _SHARPENED_PX = 1.5, 2.0  # unsharp mask: how much, and of what is finer than this
+_CODEC, _PER_S = "mp4v", 25.0
+
+
+def altered(case: Case, how: str) -> Case:
+    """The case with its images changed, one of ``ALTERATIONS``. Raises ``SequenceError`` where OpenCV cannot."""
+
+    def images() -> tuple[list[Pixels], list[TruthFrame]]:
+        empty, seen = [pixels(body) for body in case.backgrounds()], list(case.frames())
+        return ALTERATIONS[how]([*empty, *(pixels(body) for body, _ in seen)]), [truth for _, truth in seen]
+
+    def backgrounds() -> Iterator[bytes]:
+        changed, truths = images()
+        yield from map(encode_png, changed[: len(changed) - len(truths)])
+
+    def frames() -> Iterator[tuple[bytes, TruthFrame]]:
+        changed, truths = images()
+        yield from zip(map(encode_png, changed[len(changed) - len(truths) :]), truths, strict=True)
+
+    return replace(case, backgrounds=backgrounds, frames=frames)
+
+
+def _jpeg(images: Sequence[Pixels]) -> list[Pixels]:
+    return [_compressed(image) if image.dtype == np.uint8 else image for image in images]
+
+
+def _compressed(image: Pixels) -> Pixels:
+    _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_UNCHANGED), np.uint8)
+
+
+def _video(images: Sequence[Pixels]) -> list[Pixels]:
+    if not images or images[0].dtype != np.uint8:
+        return list(images)
+    height, width = images[0].shape[:2]
+    with TemporaryDirectory() as folder:
+        path = str(Path(folder) / "pass.mp4")
+        writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*_CODEC), _PER_S, (width, height))
+        for image in images:
+            writer.write(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+        writer.release()
+        reader = cv2.VideoCapture(path)
+        read = [reader.read()[1] for _ in images]
+        reader.release()
+    if any(image is None for image in read):
+        raise SequenceError(f"OpenCV has no codec {_CODEC}")
+    return [
+        np.asarray(one if like.ndim == 3 else one[..., 1], np.uint8) for one, like in zip(read, images, strict=True)
+    ]
+
+
+def _denoised(images: Sequence[Pixels]) -> list[Pixels]:
+    return [
+        np.asarray(cv2.fastNlMeansDenoising(image, None, _DENOISED), np.uint8) if image.dtype == np.uint8 else image
+        for image in images
+    ]
+
+
+def _sharpened(images: Sequence[Pixels]) -> list[Pixels]:
+    floats = [image.astype(np.float32) for image in images]
+    finer = [image - cv2.GaussianBlur(image, (0, 0), _SHARPENED_PX) for image in floats]
+    return [counts(one + _SHARPENED * more, like) for one, more, like in zip(floats, finer, images, strict=True)]
+
+
+def _clock(images: Sequence[Pixels]) -> list[Pixels]:
+    return [
+        _stamped(image, f"{7 * k % 24:02d}:{11 * k % 60:02d}.{37 * k % 1000:03d}") for k, image in enumerate(images)
+    ]
+
+
+def _stamped(image: Pixels, text: str) -> Pixels:
+    where, font = np.zeros(image.shape[:2], np.uint8), cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(where, text, (4, image.shape[0] - 5), font, 0.35, 255, 1)
+    share = where.reshape(*where.shape, *[1] * (image.ndim - 2)) / 255.0
+    return counts(image * (1 - share) + np.iinfo(image.dtype).max * share, image)
+
+
+ALTERATIONS: dict[str, Callable[[Sequence[Pixels]], list[Pixels]]] = {
+    "jpeg": _jpeg,
+    "video": _video,
+    "denoised": _denoised,
+    "sharpened": _sharpened,
+    "clock": _clock,
+}

@@ -1,0 +1,75 @@
+"""What programs do to images before they are posted (``skypose bench track --altered``)."""
+
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from service.bench import altered as module
+from service.bench.altered import ALTERATIONS, altered
+from service.bench.brightness import pixels
+from service.bench.folder import SequenceError
+from service.cli.bench import Alteration
+from service.simulate.folder import encode_png
+
+
+def images(dtype=np.uint8, channels=()):
+    """A bright square on a sky of level 15, one frame without it."""
+    rng = np.random.default_rng(1)
+    drawn = [np.rint(rng.normal(15, 1.7, (96, 64, *channels))) for _ in range(4)]
+    for image in drawn[1:]:
+        image[30:60, 20:44] += 150
+    return [image.astype(dtype) for image in drawn]
+
+
+def test_the_command_knows_them_all():
+    assert set(get_args(Alteration)) == set(ALTERATIONS)
+
+
+@pytest.mark.parametrize("how", ALTERATIONS)
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_a_pass_keeps_its_images_and_its_truth(case_of, satellite, truth, how, channels):
+    empty, *seen = images(channels=channels)
+    moments = [replace(truth, time_s=float(k)) for k in range(3)]
+    case = replace(
+        case_of(satellite),
+        backgrounds=lambda: [encode_png(empty)],
+        frames=lambda: zip(map(encode_png, seen), moments, strict=True),
+    )
+    changed = altered(case, how)
+    (sky,), frames = list(changed.backgrounds()), list(changed.frames())
+    assert [moment for _, moment in frames] == moments
+    for before, after in zip([empty, *seen], [sky, *(body for body, _ in frames)], strict=True):
+        image = pixels(after)
+        assert image.dtype == np.uint8 and image.shape == before.shape
+        assert 0 < np.abs(image.astype(float) - before).mean() < 10
+    assert list(changed.frames())[2][0] == frames[2][0]
+
+
+@pytest.mark.parametrize("how", ["jpeg", "video", "denoised"])
+def test_what_knows_eight_bits_leaves_sixteen_as_they_are(how):
+    given = images(np.uint16)
+    for before, after in zip(given, ALTERATIONS[how](given), strict=True):
+        np.testing.assert_array_equal(after, before)
+
+
+@pytest.mark.parametrize(("how", "least", "most"), [("jpeg", 0, 0.7), ("denoised", 0, 0.5), ("sharpened", 1.5, 4)])
+def test_noise_of_neighbours(how, least, most):
+    given = images()
+    for images_ in zip(given, ALTERATIONS[how](given), strict=True):
+        before, after = (np.diff(image[70:90].astype(float), axis=1).std() for image in images_)
+        assert least <= after / before <= most
+
+
+def test_a_clock_goes_on_in_its_corner():
+    given = images()
+    first, second, *_ = ALTERATIONS["clock"](given)
+    np.testing.assert_array_equal(second[:70], given[1][:70])
+    assert (first[80:] > 200).any() and ((first[80:] > 200) != (second[80:] > 200)).any()
+
+
+def test_without_the_codec_it_says_so(monkeypatch):
+    monkeypatch.setattr(module, "_CODEC", "none")
+    with pytest.raises(SequenceError, match="no codec none"):
+        ALTERATIONS["video"](images())
