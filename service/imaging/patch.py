@@ -34,7 +34,7 @@ class Light:
     sigma: float  # noise of one pixel of empty sky, counts
     photon: float  # variance per count of light, counts
     sky: float  # counts of the empty sky, with what the sensor adds to it
-    censored: NDArray[np.bool_]  # at the sensor's upper end: at least so much
+    censored: NDArray[np.bool_]  # at the sensor's upper end, or hidden: at least so much
     origin: tuple[int, int] = (0, 0)  # its first pixel in the frame, where it is part of one
     stars: NDArray[np.uint8] | None = None
     """Numbers of its pieces that may be stars, 0 elsewhere; ``OWN`` more of those that the object has, if it is there.
@@ -90,10 +90,14 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     sigma = float(np.sqrt(weight @ sky.covariance @ weight))
     above = _weighed(data - mean, share)
     above -= _own_level(above, sigma)
+    if sky.unsure is not None:
+        above[sky.unsure[rows, columns]] = 0.0
     photon = _photon_transfer(above, sigma)
     every = _thinned(above.size)
     level = max(float(np.median(_weighed(mean[::every, ::every], share))), 0.0)
     censored = data.max(axis=2) >= (1 << bits) - 1
+    if sky.unsure is not None:
+        censored |= sky.unsure[rows, columns]
     return Light(above, sigma, photon, level, censored, (columns.start, rows.start))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.patch import OWN, Light
+from service.imaging.sky import STAR_PX
 
 DETECTION_SIGMAS = 5.0  # prior: one pixel in a million of empty sky
 """Light counts as detected from here on, after a smoothing by one pixel: one false pixel in a few million."""
@@ -17,7 +18,6 @@ _SMOOTHED_SIGMA = 1.0 / (2.0 * np.sqrt(np.pi) * _SMOOTH_PX)  # exact: of white n
 _LEAST_AREA_PX = 9  # prior: what is smaller has no shape
 # prior: components nearer than this share of the object's diagonal belong to it: booms and panels half in shadow
 _NEAR = 0.35
-_STAR_PX = 11  # prior: extent of a bright star above the threshold
 # prior: share of the diagonal within which even something so small belongs to the object
 _NEAR_STAR = 0.06
 _ALMOST_ALL = 0.95  # numerical: of a frame's light: what a search's wider sight holds
@@ -66,10 +66,10 @@ class Pieces:
         """
         if box is None:
             return light
-        lonely, (x, y) = self.extent.max(initial=0) <= _STAR_PX < known_px, light.origin
+        lonely, (x, y) = self.extent.max(initial=0) <= STAR_PX < known_px, light.origin
         outside = _beyond(self.boxes, np.array((box.left - x, box.top - y, box.right - x, box.bottom - y)))
         order = np.argsort(-self.total)
-        order = order[(outside[order] | lonely) & (self.extent[order] <= _STAR_PX)][:_MOST_STARS]
+        order = order[(outside[order] | lonely) & (self.extent[order] <= STAR_PX)][:_MOST_STARS]
         if not len(order):
             return light
         named = np.zeros(int(self.labels.max()) + 1, np.uint8)
@@ -101,7 +101,7 @@ def find_light(light: Light, pieces: Pieces | None = None) -> Box | None:
     if not len(boxes):
         return None
     whole = boxes[np.argmax(all_pieces.total)]
-    small = all_pieces.extent <= _STAR_PX
+    small = all_pieces.extent <= STAR_PX
     large = boxes[~small]
     near = np.zeros(len(large), dtype=bool)
     while (more := _near(large, whole, _NEAR) & ~near).any():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -16,7 +17,11 @@ from service.imaging.own_sky import SURFACE_SAMPLE, filled, fitted, some_of, sur
 
 _HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
 _SQUARE, _CHANCE = 8, 6.0  # numerical: px that noise may be alike over; standard deviations
-_LOUD, _BEYOND = 0.98, 1.5  # numerical: of squares: more than are full of stars; of white noise less than four sigma
+_LOUD, _BEYOND = 0.98, 1.5  # numerical: of squares: more are full of stars; of white noise less than four sigma
+_EVEN = 4.0  # numerical: sigmas between a square's quartiles: white noise has 1.3, a text many
+_GLYPH_PX = 9  # numerical: strokes of a clock's digits lie no further apart
+STAR_PX = 11  # prior: extent of a bright star above the threshold
+_ONCE = 2  # exact: changes of what comes and goes once
 _PLANE = 3  # exact: numbers of a frame's own plane, which its squares no longer have
 _SAMPLE = 32_768  # numerical: pixels of a frame that tell its level, and noise to half a percent
 _COARSE_PX = 256  # numerical: a side at which a sky is smoothed
@@ -31,6 +36,7 @@ class Sky:
     log_density: NDArray[np.float64]  # (bins,) log p(D|b) of the feature
     spec: FeatureSpec
     clutter: Box | None = None  # in which the body was told to lie, where there is more than sky about it
+    unsure: NDArray[np.bool_] | None = None  # (H, W) where something changes that is no sky, as a clock; None: nowhere
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -56,6 +62,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     if not known.all():  # elsewhere it is the object that was seen
         mean = filled(mean, known)
     few = len(frames) < KEPT_FRAMES
+    middle = mean
     smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1) if few else mean
     residual = frames[:, *some] - smooth[some]
     noise = _noise(residual[:, known[some]])
@@ -68,6 +75,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         np.log(density),
         spec,
         cluttered_box(background.frames[-1], known),
+        _unsure(frames, middle, smooth, noise),
     )
 
 
@@ -147,20 +155,46 @@ def _over_squares(
     squares = residual[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).swapaxes(2, 3)[:, whole]
     together = squares.reshape(n, count, pixels, channels)
     apart = squares.reshape(n, pixels, count, channels).swapaxes(1, 2)
-    loud, white = (_loudness(one) for one in (together, apart))
+    sigma = np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
+    loud, white = (_loudness(one, sigma) for one in (together, apart))
     loud *= count / (count - _PLANE)
     chance = _CHANCE * np.sqrt(2 / (n * count))
     return loud if np.trace(loud) > max((1 + chance) * np.trace(white), np.trace(noise)) else noise
 
 
-def _loudness(groups: NDArray[np.float32]) -> NDArray[np.float64]:
+def _loudness(groups: NDArray[np.float32], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
     """(K, M, P, C) pixels -> (C, C) covariance of white noise whose means over P are as loud as those of the groups'
-    middle halves, in which there is no star.
+    middle halves, in which there is no star. ``sigma`` (C,) of a pixel: where these differ by more it is no sky.
     """
     pixels = groups.shape[2]
-    middle = np.sort(groups, axis=2)[:, :, pixels // 4 : -pixels // 4]
-    means = np.float32(np.sqrt(pixels)) * middle.mean(axis=2)
+    quarter = pixels // 4
+    middle = np.sort(groups, axis=2)[:, :, quarter:-quarter]
+    even = (middle[:, :, -1] - middle[:, :, 0] <= _EVEN * sigma).all(axis=2)
+    if not even.any():
+        return np.zeros((len(sigma), len(sigma)))
+    means = np.float32(np.sqrt(pixels)) * middle.mean(axis=2)[even][None]
     return _noise(means, _BEYOND * np.quantile(np.abs(means), _LOUD, axis=(0, 1)).astype(np.float32))
+
+
+def _unsure(
+    frames: NDArray[np.float32], middle: NDArray[np.float32], smooth: NDArray[np.float32], noise: NDArray[np.float64]
+) -> NDArray[np.bool_] | None:
+    """(H, W) where things come and go in (K, H, W, C) empty ``frames``, as the digits of a clock; None: nowhere.
+
+    A star comes and goes once, and where it twinkles it is no wider than a star. What stands out of the sky and touches
+    such a place may change next: the clock's hours.
+    """
+    least = _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA).astype(np.float32)
+    off = [(np.abs(frame - middle) > least).any(axis=2) for frame in frames]
+    often = np.sum([now != before for before, now in pairwise(off)], axis=0, dtype=np.uint8)
+    comes_and_goes = often > _ONCE
+    if not comes_and_goes.any():
+        return None
+    stands = np.any(off, axis=0) | (np.abs(middle - smooth) > least).any(axis=2)
+    _, labels = cv2.connectedComponents(cv2.dilate(stands.astype(np.uint8), np.ones((_GLYPH_PX, _GLYPH_PX), np.uint8)))
+    places = ((one, np.argwhere(comes_and_goes & (labels == one))) for one in np.unique(labels[comes_and_goes]))
+    wide = [one for one, pixels in places if np.ptp(pixels, axis=0).max() >= STAR_PX]
+    return np.isin(labels, wide) if wide else None
 
 
 def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -295,4 +295,4 @@ def _blob(blobs: Mapping[str, bytes], key: str) -> bytes:
 
 def sky_bytes(sky: Sky) -> int:
     """Memory that a sky takes."""
-    return sky.mean.nbytes + sky.log_density.nbytes
+    return sky.mean.nbytes + sky.log_density.nbytes + (0 if sky.unsure is None else sky.unsure.nbytes)

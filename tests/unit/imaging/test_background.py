@@ -237,38 +237,6 @@ def test_noise_that_is_alike_in_neighbours_is_told_as_loud_as_it_is_over_squares
     assert sky_of(frames).sigma[0] == pytest.approx(4.0 * enlarged, rel=0.15)
 
 
-@pytest.mark.parametrize(("quality", "slope"), [(15, 6.0), (30, 0.0), (30, 6.0), (50, 0.0), (75, 0.0)])
-def test_a_compressed_sky_has_the_noise_of_its_blocks(quality, slope):
-    """Most of it is one value or two, and what differs jumps by whole blocks: no pixel's noise shows it."""
-    level = np.tile(14.6 + slope * np.linspace(-0.5, 0.5, 8 * WIDTH), (8 * HEIGHT, 1))
-    how = [cv2.IMWRITE_JPEG_QUALITY, quality]
-    coded = [cv2.imencode(".jpg", frame, how)[1] for frame in noisy(level, 1.7, 6, seed=2)]
-    frames = [cv2.imdecode(one, cv2.IMREAD_GRAYSCALE) for one in coded]
-    blocks = 8 * (np.array(frames) - level).reshape(6, HEIGHT, 8, WIDTH, 8).mean(axis=(2, 4))
-    jumps = np.diff(blocks, axis=0).std() / np.sqrt(2)
-    assert jumps > 2.5
-    assert 0.9 * jumps < sky_of(frames).sigma[0] < 1.1 * blocks.std()  # what stays may be in the mean
-
-
-@pytest.mark.parametrize("count", [1, 6])
-def test_blocks_that_stay_where_they_are_are_noise_as_well(count):
-    """A video's codec leaves most of a still sky as it was: few frames tell no more of it than one."""
-    rng = np.random.default_rng(6)
-    blocks = 40 + np.kron(rng.choice([-1, 0, 1], (HEIGHT, WIDTH)), np.ones((8, 8)))
-    frames = [np.asarray(blocks, np.uint8)] * count
-    assert 5 < sky_of(frames).sigma[0] < 8 * np.sqrt(2 / 3)  # some of it is in the mean
-
-
-@pytest.mark.parametrize("stars", [20, 60])
-def test_passing_stars_are_no_noise(stars):
-    """So many of 1,200 squares have one that is gone in the next frame."""
-    frames, rng = noisy(np.full((4 * HEIGHT, 4 * WIDTH), 20.0), 2.0, 8), np.random.default_rng(4)
-    for frame in frames:
-        for y, x in zip(*rng.integers(0, 4 * HEIGHT - 3, (2, stars)), strict=True):
-            frame[y : y + 3, x : x + 3] += np.uint8(60)
-    assert sky_of(frames).sigma[0] == pytest.approx(2.0, rel=0.1)
-
-
 def test_a_silent_sensor_still_has_the_noise_of_rounding():
     sky = sky_of([np.full((HEIGHT, WIDTH), 7, np.uint8)] * 4)
     np.testing.assert_array_equal(sky.sigma, [0.5])

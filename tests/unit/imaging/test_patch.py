@@ -47,6 +47,20 @@ def test_grey_light_is_what_is_above_the_sky():
     assert found.sky == pytest.approx(100.0, abs=1.0)
 
 
+def test_where_the_sky_is_not_known_there_is_at_least_no_light():
+    """As of pixels beyond the image: whatever a model shows there is no contradiction."""
+    unsure = np.zeros(SHAPE, bool)
+    unsure[100:110, 10:60] = True
+    clock = with_box(12, 102, 50, 108, 900.0)
+    image = np.round(100 + 5 * noise() + with_box(40, 30, 80, 60, 200.0) + clock).astype(np.uint16)
+    found = light_of(image, replace(sky([5.0]), unsure=unsure), 16)
+    np.testing.assert_array_equal(found.censored, unsure)
+    assert not found.image[unsure].any()
+    assert len(pieces_of(found).boxes) == 1
+    region = light_of(image, replace(sky([5.0]), unsure=unsure), 16, (slice(20, 120), slice(30, 90)))
+    np.testing.assert_array_equal(region.censored, unsure[20:120, 30:90])
+
+
 def test_channels_are_weighed_by_their_precision():
     sigma, counts = np.array([2.0, 4.0, 8.0]), 50.0
     image = 100 + noise(shape=(*SHAPE, 3)) * sigma + with_box(40, 30, 80, 60, counts)[..., None]
