@@ -90,14 +90,13 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     sigma = float(np.sqrt(weight @ sky.covariance @ weight))
     above = _weighed(data - mean, share)
     above -= _own_level(above, sigma)
+    censored = data.max(axis=2) >= (1 << bits) - 1
     if sky.unsure is not None:
         above[sky.unsure[rows, columns]] = 0.0
+        censored |= sky.unsure[rows, columns]
     photon = _photon_transfer(above, sigma)
     every = _thinned(above.size)
     level = max(float(np.median(_weighed(mean[::every, ::every], share))), 0.0)
-    censored = data.max(axis=2) >= (1 << bits) - 1
-    if sky.unsure is not None:
-        censored |= sky.unsure[rows, columns]
     return Light(above, sigma, photon, level, censored, (columns.start, rows.start))
 
 

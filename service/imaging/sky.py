@@ -99,7 +99,7 @@ def _with_hot(
     Where a telescope follows its object stars pass, and are gone when it is there; hot pixels stay.
     """
     stands = mean - smooth
-    hot = np.abs(stands) > _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
+    hot = np.abs(stands) > _HOT_SIGMAS * _sigmas(noise)
     above = (frames[:, hot] - smooth[hot]) * np.sign(stands[hot])
     hot[hot] = (above > 0.5 * np.abs(stands[hot])).all(axis=0)
     return np.where(hot, mean, smooth)
@@ -122,17 +122,22 @@ def _planes(
     return np.asarray((level + right * across[:, None]) + below * down[:, None, None], np.float32)
 
 
-def _noise(residual: NDArray[np.float32], loud: NDArray[np.float32] | None = None) -> NDArray[np.float64]:
+def _noise(residual: NDArray[np.float32], loud: NDArray[np.float32] | float = 0.0) -> NDArray[np.float64]:
     """(K, M, C) -> (C, C) covariance of what lies within four of the robust deviations, or is no more than ``loud``.
 
     The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
     fifth off at two counts.
     """
     robust = 1.4826 * np.median(np.abs(residual), axis=(0, 1))
-    inside = np.abs(residual) <= np.maximum(4 * np.maximum(robust, 0.5), 0.0 if loud is None else loud)
+    inside = np.abs(residual) <= np.maximum(4 * np.maximum(robust, 0.5), loud)
     seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
     both = inside.reshape(seen.shape).astype(np.float64)
     return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
+
+
+def _sigmas(noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(C,) of a pixel, of a covariance; that of rounding at the least."""
+    return np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
 
 
 def _over_squares(
@@ -155,8 +160,7 @@ def _over_squares(
     squares = residual[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).swapaxes(2, 3)[:, whole]
     together = squares.reshape(n, count, pixels, channels)
     apart = squares.reshape(n, pixels, count, channels).swapaxes(1, 2)
-    sigma = np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
-    loud, white = (_loudness(one, sigma) for one in (together, apart))
+    loud, white = (_loudness(one, _sigmas(noise)) for one in (together, apart))
     loud *= count / (count - _PLANE)
     chance = _CHANCE * np.sqrt(2 / (n * count))
     return loud if np.trace(loud) > max((1 + chance) * np.trace(white), np.trace(noise)) else noise
@@ -184,7 +188,7 @@ def _unsure(
     A star comes and goes once, and where it twinkles it is no wider than a star. What stands out of the sky and touches
     such a place may change next: the clock's hours.
     """
-    least = _HOT_SIGMAS * np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA).astype(np.float32)
+    least = _HOT_SIGMAS * _sigmas(noise).astype(np.float32)
     off = [(np.abs(frame - middle) > least).any(axis=2) for frame in frames]
     often = np.sum([now != before for before, now in pairwise(off)], axis=0, dtype=np.uint8)
     comes_and_goes = often > _ONCE

@@ -4,29 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from service.imaging.background import Background, learn
-from service.imaging.features import feature_spec
-from service.imaging.sky import Sky, derive
-
-HEIGHT, WIDTH = 60, 80
-
-
-def sky_of(frames) -> Sky:
-    background: Background | None = None
-    for frame in frames:
-        everywhere = np.ones(frame.shape, bool)
-        background = learn(background, frame, 8, feature_spec("auto", 1, 8, 1.0), everywhere)
-    assert background is not None
-    return derive(background, "auto", 1.0)
-
-
-def noisy(level, sigma: float, count: int, seed: int = 1) -> list[np.ndarray]:
-    """Frames of a level (H, W) with Gaussian noise."""
-    rng = np.random.default_rng(seed)
-    return [
-        np.clip(np.rint(level + sigma * rng.standard_normal(level.shape)), 0, 255).astype(np.uint8)
-        for _ in range(count)
-    ]
+from tests.unit.imaging.test_background import HEIGHT, WIDTH, noisy, sky_of
 
 
 @pytest.mark.parametrize(("quality", "slope"), [(15, 6.0), (30, 0.0), (30, 6.0), (50, 0.0), (75, 0.0)])
