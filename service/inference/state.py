@@ -89,6 +89,8 @@ class Mixture:
     since_search: int  # frames since the last of a search
     photon: float | None = None  # variance per count of light; None: as each frame suggests
     hides: float | None = None  # counts of the sky's light that the body hides; None: as likely as its prior has it
+    sharpened: float = 0.0  # amount of an unsharp mask that the frames have been through
+    mask: float = 0.0  # its width, frame px
     searched_nats: float = 340.0  # log evidence against the empty sky where it was searched; as if 0.8 of them met it
     parts_searched: int = 0  # of the search that is under way
     answered: float = 0.0  # probability that the leading answer was told with when it last fitted

@@ -82,6 +82,8 @@ def _check_numbers(mixture: Mixture) -> None:
         "hides": (0.0 if mixture.hides is None else mixture.hides, float, 0.0, _LARGEST),
         "core": (float(core), float, 1e-9, _LARGEST),
         "wings": (float(wings), float, 0.0, _LARGEST),
+        "sharpened": (mixture.sharpened, float, 0.0, _LARGEST),
+        "mask": (mixture.mask, float, 0.0, _LARGEST),
         "searches": (mixture.searches, int, 0, _LARGEST),
         "misses": (mixture.misses, int, 0, _LARGEST),
         "since_search": (mixture.since_search, int, 0, _LARGEST),

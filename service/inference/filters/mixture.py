@@ -191,7 +191,7 @@ def followed_on(before: Mixture, ahead: Predicted, given: Given) -> tuple[Sight,
     """The light around the leader, what modes climb on there, and under what."""
     lead = int(np.argmax(ahead.log_weights))
     core, wings = (float(one) for one in before.point_spread)
-    nuisance = Nuisance(core, wings, before.discrepancy, before.photon, before.hides)
+    nuisance = Nuisance(core, wings, before.discrepancy, before.photon, before.hides, before.sharpened, before.mask)
     reach = given.body.fine.radius * float(np.exp(ahead.poses.log_scale[lead]))
     sight = given.frame.around(ahead.poses.position[lead], _RIM * reach, before.span_px, nuisance.core)
     leader = ahead.poses[lead : lead + 1], ahead.suns[lead : lead + 1], ahead.paint[lead]
@@ -256,6 +256,8 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
         discrepancy=updated.nuisance.discrepancy,
         photon=updated.nuisance.photon,
         hides=updated.nuisance.hides,
+        sharpened=updated.nuisance.sharpened,
+        mask=updated.nuisance.mask,
         log_chi2=updated.log_chi2,
         log_light=updated.log_light,
         span_px=hill.view.side * hill.view.binning / _SIGHT,

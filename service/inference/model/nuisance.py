@@ -18,11 +18,29 @@ _WIDTHS = tuple(float(v) for v in 0.4 * 10 ** (np.arange(20) / 11))  # numerical
 _SHARES = (0.0, 0.25, 0.5, 0.7, 0.85, 0.95)  # numerical: grid: of the width's square that is the wings'
 # numerical: grid, two standard deviations of its log either way, and in wider steps what a wrong mesh may ask for
 _LOGS = (*np.linspace(-1.4, 1.4, 13), 1.75, 2.1, 2.45, 2.8)
+_AMOUNTS = (0.0, 0.5, 1.0, 1.5, 2.2, 3.3)  # numerical: grid, of an unsharp mask
+_MASKS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # numerical: grid, frame px
 _DISCREPANCIES = tuple(float(prior.DISCREPANCY * np.exp(v)) for v in _LOGS)
 _PHOTON_STEP = 1.41  # numerical: half a standard deviation of its log
 _PHOTONS = tuple(float(_PHOTON_STEP**k) for k in range(-6, 3))  # numerical: grid, of what the frame's checkerboard has
 _HIDDEN = (0.0, 0.25, 0.5, 0.75, 1.0)  # numerical: grid: share of the most that can be hidden
 _HIDDEN_STEPS = (1 / 8, 1 / 16, 1 / 32)  # numerical: by which it is refined
+_Place = tuple[int, int, int, int]  # on the grids of width, wings' share, amount and width of an unsharp mask
+_GRIDS = (_WIDTHS, _SHARES, _AMOUNTS, _MASKS)
+# exact: a step along each; of what goes against what: width and wings, amount and width (sharpening hides a blur),
+# amount and width of the mask
+_OPTICS: tuple[_Place, ...] = (
+    *((1, 0, 0, 0), (-1, 0, 0, 0), (0, 1, 0, 0)),
+    *((0, -1, 0, 0), (-1, 1, 0, 0), (1, -1, 0, 0)),
+)
+_MASKED: tuple[_Place, ...] = ((0, 0, 1, 0), (1, 0, 1, 0))
+_SHARPENED: tuple[_Place, ...] = (
+    *_MASKED,
+    *((0, 0, -1, 0), (-1, 0, -1, 0), (0, 0, 0, 1), (0, 0, 0, -1), (0, 0, -1, 1), (0, 0, 1, -1)),
+)
+_BLURRED = (0, 2, 4)  # numerical: steps of width that a blur may be wider than it looks after sharpening
+_EVERY_MASK = tuple((a, m) for a in range(1, len(_AMOUNTS)) for m in range(len(_MASKS)))
+_MASK_PX = 2.0  # numerical: where the mask's width is looked for first
 _FIVE = 5  # exact: point spread's width and wings, discrepancy, photons, hidden sky
 _LOOKS = 24  # numerical: grids are searched from where one stands: no more than this
 
@@ -36,15 +54,21 @@ class Nuisance:
     discrepancy: float = prior.DISCREPANCY
     photon: float | None = None  # variance per count of light; None: as each frame's finest checkerboard has it
     hides: float | None = None  # counts of the sky's light that the body hides; None: not looked for yet
+    sharpened: float = 0.0  # p
+    mask: float = 0.0  # m
 
     def point_spread(self, binning: float) -> PointSpread:
         """On a patch of squares of so many px."""
-        return PointSpread(self.core / binning, self.wings / binning)
+        return PointSpread(self.core / binning, self.wings / binning, self.sharpened, self.mask / binning)
 
     def spread_by(self, width: float, share: float) -> Nuisance:
         """The same with a point spread of such a width (px of the frame), of whose square the wings have a share."""
         spread = PointSpread.of(width, share)
         return replace(self, core=spread.core, wings=spread.wings)
+
+    def sharpened_by(self, amount: float, mask: float) -> Nuisance:
+        """The same after an unsharp mask of such an amount and width (px of the frame)."""
+        return replace(self, sharpened=amount, mask=mask)
 
     def photon_on(self, binning: float) -> float | None:
         """Variance per count on the same; None: as the frame has it."""
@@ -57,38 +81,78 @@ def best_spread(at: Looked, start: Nuisance) -> Nuisance:
     None through which the frame's own sharpest light could not come: a mesh that is wrong asks for a blur.
     The frame's own low pass stays what the hill has: all are compared on the same data.
     """
-    hill = at.hill
+    grid = _Grid(at, start, {})
+    here = _place_of(start)
+    while here[0] > 0 and not grid.allows(here):
+        here = (here[0] - 1, *here[1:])
+    grid.look([here], anyway=True)
+    if not here[2]:
+        grid.climb(_OPTICS, _LOOKS)
+        grid.look([_stepped(grid.best, step) for step in _MASKED])
+        if grid.best[2]:  # a blur that was sharpened is not met by single steps
+            width, share, *_ = grid.best
+            grid.look([(width + more, share, *mask) for more in _BLURRED for mask in _EVERY_MASK])
+    if grid.best[2]:
+        grid.climb((*_OPTICS, *_SHARPENED), len(grid.seen) + _LOOKS)
+    return grid.under(grid.best)
 
-    def values(places: list[tuple[int, int]]) -> list[float]:
-        tried = [start.spread_by(_WIDTHS[width], _SHARES[share]) for width, share in places]
+
+@dataclass(frozen=True)
+class _Grid:
+    """Point spreads, and how well those that were looked at explain a frame."""
+
+    at: Looked
+    start: Nuisance
+    seen: dict[_Place, float]
+
+    @property
+    def best(self) -> _Place:
+        """Of those that were looked at."""
+        return max(self.seen, key=lambda place: self.seen[place])
+
+    def under(self, place: _Place) -> Nuisance:
+        """The start with the point spread of a place."""
+        width, share, amount, mask = place
+        return self.start.spread_by(_WIDTHS[width], _SHARES[share]).sharpened_by(_AMOUNTS[amount], _MASKS[mask])
+
+    def allows(self, place: _Place) -> bool:
+        """Whether it is one, and the frame could be light that came through it."""
+        on_it = all(0 <= k < len(values) for k, values in zip(place, _GRIDS, strict=True))
+        return on_it and lets_through(self.at.hill, self.under(place))
+
+    def look(self, places: list[_Place], anyway: bool = False) -> None:
+        """At those that are allowed and new."""
+        new = [one for one in places if one not in self.seen and (anyway or self.allows(one))]
+        if not new:
+            return
+        hill, tried = self.at.hill, [self.under(place) for place in new]
         scenes = [hill.scene.under(point_spread=one.point_spread(hill.view.binning)) for one in tried]
-        found = at.log_evidences(scenes).max(axis=1) + [_log_prior(one.core, one.wings) for one in tried]
-        return [float(value) for value in found]
+        found = self.at.log_evidences(scenes).max(axis=1) + [_log_prior(one) for one in tried]
+        self.seen.update(zip(new, map(float, found), strict=True))
 
-    def possible(place: tuple[int, int]) -> bool:
-        width, share = place
-        if not (0 <= width < len(_WIDTHS) and 0 <= share < len(_SHARES)):
-            return False
-        return lets_through(hill, start.spread_by(_WIDTHS[width], _SHARES[share]))
+    def climb(self, steps: tuple[_Place, ...], looks: int) -> None:
+        """From the best, until no step betters it or so many were looked at."""
+        here = None
+        while here != self.best and len(self.seen) < looks:
+            here = self.best
+            self.look([_stepped(here, step) for step in steps])
 
-    now = start.point_spread(1)
-    here = (
-        int(np.argmin(np.abs(np.log(np.array(_WIDTHS) / now.width)))),
-        int(np.argmin(np.abs(np.array(_SHARES) - now.share))),
+
+def _stepped(place: _Place, step: _Place) -> _Place:
+    """A step further; what was not sharpened has no mask whose width could change."""
+    width, share, amount, mask = (a + b for a, b in zip(place, step, strict=True))
+    return (width, share, amount, mask) if amount else (width, share, 0, _MASKS.index(_MASK_PX))
+
+
+def _place_of(nuisance: Nuisance) -> _Place:
+    """The nearest on the grid."""
+    spread = nuisance.point_spread(1)
+    return (
+        int(np.argmin(np.abs(np.log(np.array(_WIDTHS) / spread.width)))),
+        int(np.argmin(np.abs(np.array(_SHARES) - spread.share))),
+        int(np.argmin(np.abs(np.array(_AMOUNTS) - spread.sharpened))),
+        int(np.argmin(np.abs(np.array(_MASKS) - (spread.mask if spread.sharpened else _MASK_PX)))),
     )
-    while here[0] > 0 and not possible(here):
-        here = here[0] - 1, here[1]
-    seen = {here: values([here])[0]}
-    while len(seen) < _LOOKS:
-        near = [(here[0] + a, here[1] + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1))]
-        near = [at for at in near if at not in seen and possible(at)]
-        if near:
-            seen.update(zip(near, values(near), strict=True))
-        best = max(seen, key=lambda at: seen[at])
-        if best == here:
-            break
-        here = best
-    return start.spread_by(_WIDTHS[here[0]], _SHARES[here[1]])
 
 
 def best_discrepancy(at: Looked, start: Nuisance) -> Nuisance:
@@ -164,7 +228,7 @@ def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:
 def log_prior(nuisance: Nuisance, hill: Hill) -> float:
     """Of all five in a frame, but for a constant."""
     deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
-    out = _log_prior(nuisance.core, nuisance.wings) - 0.5 * deviation**2
+    out = _log_prior(nuisance) - 0.5 * deviation**2
     if nuisance.hides is not None and hill.scene.hidden > 0:
         out += _log_prior_of_hidden(hill.scene.share_of_sky(nuisance.hides))
     photon = nuisance.photon_on(hill.view.binning)
@@ -188,6 +252,8 @@ def _log_prior_of_photon(share: float) -> float:
     return -0.5 * deviation**2
 
 
-def _log_prior(core: float, wings: float) -> float:
-    deviation = float(np.log(core / prior.CORE_PX)) / prior.CORE_LOG_SIGMA
-    return -0.5 * deviation**2 - 0.5 * (wings / prior.WINGS_SIGMA_PX) ** 2
+def _log_prior(nuisance: Nuisance) -> float:
+    """Of the point spread."""
+    deviation = float(np.log(nuisance.core / prior.CORE_PX)) / prior.CORE_LOG_SIGMA
+    optics = -0.5 * deviation**2 - 0.5 * (nuisance.wings / prior.WINGS_SIGMA_PX) ** 2
+    return optics - (prior.SHARPENED_NATS if nuisance.sharpened else 0.0)

@@ -17,6 +17,7 @@ HERMITE_SIGMA = 0.15  # Gauss-Hermite deviations of the point spread
 SHIFT_SHARE = 0.3  # image shifts in turbulence, as a share of w
 CORE_PX, CORE_LOG_SIGMA = 1.2, 0.6  # s, frame px
 WINGS_SIGMA_PX = 1.5  # w, frame px
+SHARPENED_NATS = 6.0  # against an unsharp mask of some amount and width: one sequence in ten, 40 of them alike
 DISCREPANCY, DISCREPANCY_LOG_SIGMA = 0.02, 0.7  # tau, before a body is known
 DISCREPANCY_LENGTH = 17.0  # px of a patch as fine as is wanted over which the discrepancy is alike: a share of the body
 PHOTON_SHARE, PHOTON_LOG_SIGMA = 0.7, 0.7  # variance per count, of what a frame's checkerboard has, and its log: edges

@@ -33,14 +33,18 @@ class PointSpread:
 
     core: float  # s
     wings: float = 0.0  # w
+    sharpened: float = 0.0  # p: amount of an unsharp mask that the frame has been through
+    mask: float = 0.0  # m: its Gaussian's width
 
     def gaussians(self, low_pass: float) -> tuple[tuple[float, float], ...]:
         """(weight, sigma) of the Gaussians that K is, each widened by the frame's own low pass."""
         core = self.core**2 + low_pass**2
-        if self.wings <= 0:
-            return ((1.0, float(np.sqrt(core))),)
-        widths = [float(np.sqrt(core + (m * self.wings) ** 2)) for m in MIXTURE_WIDTHS]
-        return tuple(zip(MIXTURE_WEIGHTS, widths, strict=True))
+        weights, widths = ((1.0,), (0.0,)) if self.wings <= 0 else (MIXTURE_WEIGHTS, MIXTURE_WIDTHS)
+        each = [(weight, core + (m * self.wings) ** 2) for weight, m in zip(weights, widths, strict=True)]
+        if self.sharpened > 0:
+            below = [(-self.sharpened * weight, square + self.mask**2) for weight, square in each]
+            each = [((1 + self.sharpened) * weight, square) for weight, square in each] + below
+        return tuple((weight, sqrt(square)) for weight, square in each)
 
     @classmethod
     def of(cls, width: float, share: float) -> PointSpread:
@@ -49,7 +53,9 @@ class PointSpread:
 
     def transfer(self, wavenumbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """K at such wavenumbers, 1 / px."""
-        return np.asarray(np.exp(-0.5 * (self.core * wavenumbers) ** 2 - (self.wings * wavenumbers) ** (5 / 3)))
+        mask = 1 + self.sharpened * (1 - np.exp(-0.5 * (self.mask * wavenumbers) ** 2))
+        optics = np.exp(-0.5 * (self.core * wavenumbers) ** 2 - (self.wings * wavenumbers) ** (5 / 3))
+        return np.asarray(mask * optics)
 
     @property
     def width(self) -> float:

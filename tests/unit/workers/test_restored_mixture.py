@@ -81,6 +81,8 @@ def test_particles_that_are_only_looked_at_are_kept_small_and_taken():
         {"log_light": float("inf")},
         {"span_px": 0.0},
         {"photon": 0.0},
+        {"sharpened": -0.5},
+        {"mask": float("nan")},
         {"span_px": 1e9},
         {"searches": -1},
         {"since_search": 0.5},

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from lit_body import QUALITY, SUN, VIEW, lit_body, pose, scene, seen, shares
@@ -52,6 +53,26 @@ def test_turbulence_is_met_from_a_core_that_is_as_wide():
     image = seen(pose(), shares(lit_body(), 900.0), core=wide.core, wings=wide.wings)
     found = best_spread(looked(hill(image, start, discrepancy=0.01), pose(), SUN[None]), start).point_spread(1.0)
     assert found.share > 0.6 and found.width == pytest.approx(wide.width, rel=0.2)
+
+
+@pytest.mark.parametrize(("amount", "mask"), [(1.5, 2.0), (1.0, 1.4), (3.3, 1.0)])
+def test_sharpening_is_found(amount, mask):
+    start = Nuisance(0.8, 0.0, 0.01)
+    image = seen(pose(), shares(lit_body(), 900.0), core=1.2)
+    image += amount * (image - cv2.GaussianBlur(image, (0, 0), mask))
+    found = best_spread(looked(hill(image, start, discrepancy=0.01), pose(), SUN[None]), start).point_spread(1.0)
+    k = np.linspace(0.2, 1.5, 20)
+    assert found.sharpened > 0
+    assert found.transfer(k) == pytest.approx(PointSpread(1.2, 0.0, amount, mask).transfer(k), abs=0.12 * (1 + amount))
+
+
+@pytest.mark.parametrize("core", [0.6, 1.2, 3.0])
+def test_what_was_not_sharpened_has_no_ringing(core):
+    """Where widths lie between those of the grid, a mask narrower than they are may make up for it."""
+    start = Nuisance(1.2, 0.0, 0.02)
+    image = seen(pose(), shares(lit_body(), 900.0), core=core)
+    found = best_spread(looked(hill(image, start), some(), np.tile(SUN, (2, 1))), start).point_spread(1.0)
+    assert found.transfer(np.linspace(0.0, 1.5, 31)).max() == pytest.approx(1.0)
 
 
 def test_the_point_spread_of_an_enlarged_image_is_found():

@@ -1,5 +1,6 @@
 """The point spread as a mixture of Gaussians: against its transfer function, and what it does to a drawing."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -17,22 +18,37 @@ SIDE = 256
 SPREADS = [(1.2, 0.0), (1.2, 0.8), (1.0, 2.0), (1.5, 4.0)]
 
 
-def transfer(core: float, wings: float, k: np.ndarray) -> np.ndarray:
+SHARPENED = [(0.0, 0.0), (1.5, 2.0)]
+
+
+def transfer(core: float, wings: float, k: np.ndarray, sharpened: float = 0.0, mask: float = 0.0) -> np.ndarray:
     """Of docs/model.md, section 2; k in radians per px."""
-    return np.exp(-0.5 * (k * core) ** 2 - (k * wings) ** (5 / 3))
+    unsharp = 1 + sharpened * (1 - np.exp(-0.5 * (k * mask) ** 2))
+    return unsharp * np.exp(-0.5 * (k * core) ** 2 - (k * wings) ** (5 / 3))
 
 
 @pytest.mark.parametrize(("core", "wings"), SPREADS)
 @pytest.mark.parametrize("low_pass", [0.0, 1.0])
-def test_a_point_has_the_transfer_function(core, wings, low_pass):
+@pytest.mark.parametrize("mask", SHARPENED)
+def test_a_point_has_the_transfer_function(core, wings, low_pass, mask):
     point = np.zeros((1, SIDE, SIDE), np.float32)
     point[0, SIDE // 2, SIDE // 2] = 1.0
-    found = np.abs(np.fft.fft2(spread(point, PointSpread(core, wings), low_pass)[0]))
+    found = np.abs(np.fft.fft2(spread(point, PointSpread(core, wings, *mask), low_pass)[0]))
     line = 2 * np.pi * np.abs(np.fft.fftfreq(SIDE))
     k = np.hypot(line[:, None], line[None])
-    wanted = transfer(np.hypot(core, low_pass), wings, k)
+    wanted = transfer(np.hypot(core, low_pass), wings, k, *mask)
+    assert PointSpread(core, wings, *mask).transfer(k) == pytest.approx(transfer(core, wings, k, *mask))
     believed = k * wings < 4.0
-    assert np.abs(found - wanted)[believed & (k < 2.5)].max() < 0.006
+    assert np.abs(found - wanted)[believed & (k < 2.5)].max() < 0.006 * (1 + mask[0])
+
+
+def test_a_picture_sharpened_with_opencv_is_what_the_point_spread_makes_of_it():
+    body = np.zeros((1, SIDE, SIDE), np.float32)
+    body[0, 100:150, 90:170] = 100.0
+    seen = spread(body, PointSpread(1.2), 0.0)[0]
+    wanted = seen + 1.5 * (seen - cv2.GaussianBlur(seen, (0, 0), 2.0))
+    assert spread(body, PointSpread(1.2, 0.0, 1.5, 2.0), 0.0)[0] == pytest.approx(wanted, abs=0.5)
+    assert wanted.min() < -15
 
 
 @pytest.mark.parametrize(("core", "wings"), SPREADS)
