@@ -1,4 +1,5 @@
-"""Passes as programs leave them before anybody posts them: compressed, as a video, denoised, sharpened, with a clock.
+"""Passes as programs leave them before anybody posts them: compressed, as a video, denoised, sharpened, with a black
+sky, with a clock.
 
 Compression and denoising know eight bits alone; images of sixteen stay as they are there.
 """
@@ -22,6 +23,7 @@ from service.simulate.folder import encode_png
 _JPEG_QUALITY = 30
 _DENOISED = 10.0  # strength of the non-local means: noise of three counts is gone
 _SHARPENED, _SHARPENED_PX = 1.5, 2.0  # unsharp mask: how much, and of what is finer than this
+_BLACK = 2.0  # black point: so many of its noise above the sky
 _CODEC, _PER_S = "mp4v", 25.0
 
 
@@ -85,6 +87,13 @@ def _sharpened(images: Sequence[Pixels]) -> list[Pixels]:
     return [counts(one + _SHARPENED * more, like) for one, more, like in zip(floats, finer, images, strict=True)]
 
 
+def _black(images: Sequence[Pixels]) -> list[Pixels]:
+    sky = images[0].astype(np.float32)
+    level = np.median(sky, axis=(0, 1))
+    black = np.rint(level + _BLACK * 1.4826 * np.median(np.abs(sky - level), axis=(0, 1)))
+    return [counts(image - black, image) for image in images]
+
+
 def _clock(images: Sequence[Pixels]) -> list[Pixels]:
     return [
         _stamped(image, f"{7 * k % 24:02d}:{11 * k % 60:02d}.{37 * k % 1000:03d}") for k, image in enumerate(images)
@@ -103,5 +112,6 @@ ALTERATIONS: dict[str, Callable[[Sequence[Pixels]], list[Pixels]]] = {
     "video": _video,
     "denoised": _denoised,
     "sharpened": _sharpened,
+    "black": _black,
     "clock": _clock,
 }

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.imaging.background import FLOOR, KEPT_FRAMES, Background
+from service.imaging.black import sigma_behind_black
 from service.imaging.clutter import Box, cluttered_box
 from service.imaging.features import FeatureSpec, feature_spec
 from service.imaging.frame_median import median_of
@@ -66,6 +67,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1) if few else mean
     residual = frames[:, *some] - smooth[some]
     noise = _noise(residual[:, known[some]])
+    noise = _as_loud_as(noise, sigma_behind_black(background.frames[:, *some], known[some]))
     if few:
         mean = _with_hot(smooth, mean, frames, noise) if len(frames) > 2 else smooth
     noise = _over_squares(residual, known[some], noise)
@@ -133,6 +135,14 @@ def _noise(residual: NDArray[np.float32], loud: NDArray[np.float32] | float = 0.
     seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
     both = inside.reshape(seen.shape).astype(np.float64)
     return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
+
+
+def _as_loud_as(noise: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(C, C) the same with (C,) standard deviations at the least, and as alike between the channels."""
+    now = np.sqrt(np.diag(noise))
+    alike = noise / np.maximum(np.outer(now, now), 1e-12)
+    np.fill_diagonal(alike, 1.0)
+    return np.asarray(alike * np.outer(*[np.maximum(now, sigma)] * 2))
 
 
 def _sigmas(noise: NDArray[np.float64]) -> NDArray[np.float64]:

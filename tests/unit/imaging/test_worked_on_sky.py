@@ -1,4 +1,4 @@
-"""Skies of images that were compressed, or that have a clock in a corner: what is noise, and what is not known."""
+"""Skies of images that were compressed, made black, or that have a clock: what is noise, and what is not known."""
 
 import cv2
 import numpy as np
@@ -65,3 +65,31 @@ def test_a_sky_without_a_clock_is_known_everywhere():
         frame[30:33, 20:23] += 90
         frame[50, ::7] += 90
     assert sky_of(frames).unsure is None
+
+
+def raised(frames, black: int):
+    """With another black point."""
+    return [np.clip(frame.astype(int) - black, 0, 255).astype(frame.dtype) for frame in frames]
+
+
+@pytest.mark.parametrize("sigmas", [-1.0, 0.0, 1.0, 2.0])
+@pytest.mark.parametrize("sigma", [2.0, 8.0])
+def test_a_black_sky_has_the_noise_that_it_had(sigma, sigmas):
+    """Of most pixels nothing is left, and stars are brighter than all that is."""
+    frames, rng = noisy(np.full((4 * HEIGHT, 4 * WIDTH), 60.0), sigma, 6), np.random.default_rng(4)
+    for frame in frames:
+        for y, x in zip(*rng.integers(0, 4 * HEIGHT - 3, (2, 40)), strict=True):
+            frame[y : y + 3, x : x + 3] += np.uint8(60)
+    sky = sky_of(raised(frames, round(60 + sigmas * sigma)))
+    assert sky.sigma[0] == pytest.approx(sigma, rel=0.2)
+    assert sky.unsure is None
+
+
+def test_channels_of_a_black_sky_are_as_alike_as_they_were():
+    grey = noisy(np.full((4 * HEIGHT, 4 * WIDTH), 60.0), 5.0, 6)
+    sky = sky_of([np.repeat(frame[..., None], 3, axis=2) for frame in raised(grey, 65)])
+    assert sky.covariance == pytest.approx(np.full((3, 3), 25.0), rel=0.4)
+
+
+def test_a_sky_without_any_noise_stays_so():
+    assert sky_of([np.zeros((HEIGHT, WIDTH), np.uint8)] * 6).sigma[0] == 0.5

@@ -1,0 +1,39 @@
+"""The noise of a sky whose black point was raised: of which only the upper tail is left."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+# numerical: a sky of which more lies above its least count is whole; of one that has less nothing is told; where so
+# many pixels are at the least stars are told from noise; share of what lies above by which the tail's width is told
+_WHOLE, _LEAST, _SPARSE, _PART = 0.95, 0.003, 0.2, 0.3
+_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+
+
+def sigma_behind_black(frames: NDArray[np.generic], known: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(C,) noise of a normal law that was cut off at the least of (K, H, W, C) whole numbers; 0 where none was.
+
+    ``known`` (H, W): pixels that show sky. Programs that make a sky black leave nothing of most of its pixels, but what
+    lies above has all of the noise. With P_k the share of pixels that are k counts or more above the least, z_k its
+    normal quantile: sigma = (k - 1) / (z_1 - z_k). Where few are above, only those count whose neighbours are not:
+    stars' pixels are never alone, and of noise they are as all are.
+    """
+    out = np.zeros(frames.shape[3])
+    for channel in range(len(out)):
+        values = frames[..., channel].astype(np.int64)
+        counted = np.broadcast_to(known, values.shape)
+        least = int(values[counted].min())
+        above = (values > least).astype(np.uint8)
+        if above[counted].mean() < _SPARSE:
+            counted = counted & np.stack([cv2.dilate(one, _AROUND) == 0 for one in above])
+        share = np.bincount(values[counted] - least) / np.count_nonzero(counted)
+        tail = 1 - np.cumsum(share)  # of 1, 2, ... counts and more above the least
+        if not _LEAST <= tail[0] <= _WHOLE:
+            continue
+        k = max(int(np.argmin(np.abs(tail - _PART * tail[0]))), 1)
+        if tail[k] > 1e-9:
+            out[channel] = k / float(ndtri(1 - tail[k]) - ndtri(1 - tail[0]))
+    return out
