@@ -13,7 +13,7 @@ _WHOLE, _LEAST, _SPARSE, _PART = 0.95, 0.003, 0.2, 0.3
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 
 
-def sigma_behind_black(frames: NDArray[np.generic], known: NDArray[np.bool_]) -> NDArray[np.float64]:
+def sigma_behind_black(frames: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(C,) noise of a normal law that was cut off at the least of (K, H, W, C) whole numbers; 0 where none was.
 
     ``known`` (H, W): pixels that show sky. Programs that make a sky black leave nothing of most of its pixels, but what
@@ -23,7 +23,7 @@ def sigma_behind_black(frames: NDArray[np.generic], known: NDArray[np.bool_]) ->
     """
     out = np.zeros(frames.shape[3])
     for channel in range(len(out)):
-        values = frames[..., channel].astype(np.int64)
+        values = frames[..., channel]
         counted = np.broadcast_to(known, values.shape)
         least = int(values[counted].min())
         above = (values > least).astype(np.uint8)

@@ -25,6 +25,8 @@ STAR_PX = 11  # prior: extent of a bright star above the threshold
 _ONCE = 2  # exact: changes of what comes and goes once
 _PLANE = 3  # exact: numbers of a frame's own plane, which its squares no longer have
 _SAMPLE = 32_768  # numerical: pixels of a frame that tell its level, and noise to half a percent
+_TOLD_BY = 64  # numerical: counts above the least that tell by which step they go: no stars' alone
+_ALIKE = 0.2  # numerical: of neighbours that chance would leave different: more are so by compression
 _COARSE_PX = 256  # numerical: a side at which a sky is smoothed
 
 
@@ -57,8 +59,11 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     counts = background.counts
     density = (1 - FLOOR) * counts / max(1.0, counts.sum()) + FLOOR / spec.n_bins
     known, some = background.known, _squares(background.known)
-    planes = _planes(background.frames, known, some)
-    frames = np.subtract(background.frames, planes, dtype=np.float32)
+    sample = background.frames[:, *some].astype(np.int64)
+    step = _step(sample, known[some])
+    counted = background.frames if step == 1 else background.frames.astype(np.float32) / np.float32(step)
+    planes = _planes(counted, known, some)
+    frames = np.subtract(counted, planes, dtype=np.float32)
     mean = median_of(frames)
     if not known.all():  # elsewhere it is the object that was seen
         mean = filled(mean, known)
@@ -67,18 +72,33 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1) if few else mean
     residual = frames[:, *some] - smooth[some]
     noise = _noise(residual[:, known[some]])
-    noise = _as_loud_as(noise, sigma_behind_black(background.frames[:, *some], known[some]))
+    noise = _as_loud_as(noise, sigma_behind_black(sample // step, known[some]))
     if few:
         mean = _with_hot(smooth, mean, frames, noise) if len(frames) > 2 else smooth
     noise = _over_squares(residual, known[some], noise)
     return Sky(
-        np.ascontiguousarray(mean + median_of(planes), dtype=np.float32),
-        noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0)),  # below half a count quantisation is the noise
+        np.ascontiguousarray(step * (mean + median_of(planes)), dtype=np.float32),
+        # below half a step quantisation is the noise
+        step**2 * (noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0))),
         np.log(density),
         spec,
         cluttered_box(background.frames[-1], known),
         _unsure(frames, middle, smooth, noise),
     )
+
+
+def _step(counts: NDArray[np.int64], known: NDArray[np.bool_]) -> int:
+    """By which (K, H, W, C) counts go where ``known`` (H, W): 16 where a camera of 12 bits fills 16, more where images
+    were posterised. Where neighbours are more alike than by chance an image was compressed: its squares tell.
+    """
+    values = counts[:, known]
+    above = values[values > values.min()] - values.min()
+    if len(above) < _TOLD_BY:
+        return 1
+    step = int(np.gcd.reduce(above))
+    by_chance = float(np.sum((np.bincount((values // step).ravel() - int(values.min()) // step) / values.size) ** 2))
+    alike = float(np.mean((counts[:, :, 1:] == counts[:, :, :-1])[:, known[:, 1:] & known[:, :-1]]))
+    return step if step == 1 or alike < by_chance + _ALIKE * (1 - by_chance) else 1
 
 
 def _squares(known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

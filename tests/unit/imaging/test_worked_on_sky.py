@@ -93,3 +93,20 @@ def test_channels_of_a_black_sky_are_as_alike_as_they_were():
 
 def test_a_sky_without_any_noise_stays_so():
     assert sky_of([np.zeros((HEIGHT, WIDTH), np.uint8)] * 6).sigma[0] == 0.5
+
+
+@pytest.mark.parametrize(("step", "sigma"), [(4, 1.5), (4, 3.0), (16, 100.0), (64, 20.0)])
+def test_counts_that_go_by_steps_are_a_sky_as_any(step, sigma):
+    """Posterised images, and cameras of 12 bits in 16: a level between two steps comes and goes everywhere."""
+    frames = noisy(np.full((HEIGHT, WIDTH), 900.0 + 0.4 * step), sigma, 6, np.uint16)
+    sky = sky_of([np.asarray(step * np.rint(frame / step), np.uint16) for frame in frames], bits=16)
+    assert sky.unsure is None
+    assert sky.mean.mean() == pytest.approx(900 + 0.4 * step, abs=0.3 * step)
+    assert 0.9 * sigma < sky.sigma[0] < 1.2 * np.hypot(sigma, 0.5 * step)
+
+
+def test_a_few_stars_are_no_steps():
+    dark = [np.zeros((HEIGHT, WIDTH), np.uint8) for _ in range(6)]
+    for frame in dark:
+        frame[20, 30:32] = 120
+    assert sky_of(dark).sigma[0] == 0.5
