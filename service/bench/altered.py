@@ -1,5 +1,4 @@
-"""Passes as programs leave them before anybody posts them: compressed, as a video, denoised, sharpened, with a black
-sky, with a clock.
+"""Passes as programs leave them before anybody posts them: compressed, denoised, sharpened, with a clock, and so on.
 
 Compression and denoising know eight bits alone; images of sixteen stay as they are there.
 """
@@ -24,6 +23,8 @@ _JPEG_QUALITY = 30
 _DENOISED = 10.0  # strength of the non-local means: noise of three counts is gone
 _SHARPENED, _SHARPENED_PX = 1.5, 2.0  # unsharp mask: how much, and of what is finer than this
 _BLACK = 2.0  # black point: so many of its noise above the sky
+_STEP = 4  # counts of eight bits, 16 times as many of sixteen
+_BARS, _SHAKEN = 0.15, 0.05  # of the height, of the shorter side: black bars, and how far a window moves
 _CODEC, _PER_S = "mp4v", 25.0
 
 
@@ -94,6 +95,31 @@ def _black(images: Sequence[Pixels]) -> list[Pixels]:
     return [counts(image - black, image) for image in images]
 
 
+def _steps(images: Sequence[Pixels]) -> list[Pixels]:
+    step = [_STEP if image.dtype == np.uint8 else 16 * _STEP for image in images]
+    return [counts(one * np.rint(image / one), image) for one, image in zip(step, images, strict=True)]
+
+
+def _bars(images: Sequence[Pixels]) -> list[Pixels]:
+    bar = round(_BARS * images[0].shape[0])
+    return [_window(image, bar, 0, 0, 0) for image in images]
+
+
+def _stabilised(images: Sequence[Pixels]) -> list[Pixels]:
+    far = round(_SHAKEN * min(images[0].shape[:2]))
+    moves = np.random.default_rng(0).integers(-far, far + 1, (len(images), 2))
+    return [_window(image, far + 2, far + 2, *move) for image, move in zip(images, moves.tolist(), strict=True)]
+
+
+def _window(image: Pixels, bar: int, side: int, right: int, down: int) -> Pixels:
+    """All black but what is so far from the edges, in a window that has moved."""
+    height, width = image.shape[:2]
+    shown = slice(bar + down, height - bar + down), slice(side + right, width - side + right)
+    out = np.zeros_like(image)
+    out[shown] = image[shown]
+    return out
+
+
 def _clock(images: Sequence[Pixels]) -> list[Pixels]:
     return [
         _stamped(image, f"{7 * k % 24:02d}:{11 * k % 60:02d}.{37 * k % 1000:03d}") for k, image in enumerate(images)
@@ -113,5 +139,8 @@ ALTERATIONS: dict[str, Callable[[Sequence[Pixels]], list[Pixels]]] = {
     "denoised": _denoised,
     "sharpened": _sharpened,
     "black": _black,
+    "steps": _steps,
+    "bars": _bars,
+    "stabilised": _stabilised,
     "clock": _clock,
 }

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from service.imaging.margins import margins_of
+
 Map = NDArray[np.float32]
 Array = NDArray[np.float64]
 
@@ -38,12 +40,14 @@ def own_sky(image: NDArray[np.generic], bits: int) -> tuple[NDArray[np.generic],
     data = np.asarray(image, np.float32)
     data = data[..., None] if data.ndim == 2 else data
     grey = data.mean(axis=2)
-    ring = _ring(*grey.shape)
+    margins = margins_of(image.reshape(data.shape), empty=False)
+    shown = np.ones(grey.shape, np.bool_) if margins is None else ~margins
+    ring = _ring(shown)
     surface, sigma = _surface(grey, ring)
-    known = ~_light(grey - surface, sigma, _BRIGHT_SHARE)
+    known = shown & ~_light((grey - surface) * shown, sigma, _BRIGHT_SHARE)
     known = _enough(known, ring, grey - surface, sigma)
     surface, sigma = _sky(grey, known)
-    known = _enough(~_light(grey - surface, sigma), ring, grey - surface, sigma)
+    known = _enough(shown & ~_light((grey - surface) * shown, sigma), ring, grey - surface, sigma)
     whole = np.clip(np.rint(filled(data, known)), 0, (1 << bits) - 1).astype(image.dtype)
     return whole.reshape(image.shape), known
 
@@ -59,11 +63,12 @@ def surface_through(channel: Map, known: NDArray[np.bool_]) -> Map:
     return _surface(channel, known)[0]
 
 
-def _ring(height: int, width: int) -> NDArray[np.bool_]:
-    edge = max(2, min(height, width) // _BORDER_SHARE)
-    ring = np.ones((height, width), dtype=bool)
-    ring[edge : height - edge, edge : width - edge] = False
-    return ring
+def _ring(shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W) the border of what is shown."""
+    edge = max(2, min(shown.shape) // _BORDER_SHARE)
+    around = np.ones((2 * edge + 1, 2 * edge + 1), np.uint8)
+    inner = cv2.erode(shown.astype(np.uint8), around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(shown & (inner == 0))
 
 
 def some_of(where: NDArray[np.bool_], most: int) -> NDArray[np.intp]:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from service.imaging.margins import margins_under, together
 from service.imaging.own_sky import fitted
 from service.imaging.sky import Sky
 
@@ -82,18 +83,20 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     ``region``: rows and columns; nothing else is looked at.
     """
     rows, columns = region or (slice(0, image.shape[0]), slice(0, image.shape[1]))
-    data, mean = np.asarray(image[rows, columns], np.float32), sky.mean[rows, columns]
-    data = data[..., None] if data.ndim == 2 else data
+    whole = image[..., None] if image.ndim == 2 else image
+    data, mean = np.asarray(whole[rows, columns], np.float32), sky.mean[rows, columns]
     weight = 1.0 / np.diag(sky.covariance)
     weight /= weight.sum()
     share = weight.astype(np.float32)
     sigma = float(np.sqrt(weight @ sky.covariance @ weight))
     above = _weighed(data - mean, share)
-    above -= _own_level(above, sigma)
+    unseen = together(sky.unsure, margins_under(whole, sky.mean, sky.sigma))
+    seen = None if unseen is None else ~unseen[rows, columns]
+    above -= _own_level(above, sigma, seen)
     censored = data.max(axis=2) >= (1 << bits) - 1
-    if sky.unsure is not None:
-        above[sky.unsure[rows, columns]] = 0.0
-        censored |= sky.unsure[rows, columns]
+    if seen is not None:
+        above[~seen] = 0.0
+        censored |= ~seen
     photon = _photon_transfer(above, sigma)
     every = _thinned(above.size)
     level = max(float(np.median(_weighed(mean[::every, ::every], share))), 0.0)
@@ -112,7 +115,7 @@ def _thinned(size: int) -> int:
     return max(1, int(np.sqrt(size / _LEVEL_PIXELS)))
 
 
-def _own_level(above: Map, sigma: float) -> Map:
+def _own_level(above: Map, sigma: float, seen: NDArray[np.bool_] | None) -> Map:
     """(H, W), or (1, 1): by how much a frame's sky differs from the learnt one. A plane, as of moonlight and haze.
 
     Guessed from the border, where the object seldom is, then fitted to all that looks like such a sky. Where most of
@@ -121,9 +124,13 @@ def _own_level(above: Map, sigma: float) -> Map:
     every = _thinned(above.size)
     across, down, terms, edge = _plane_of(above.shape, every)
     some = above[::every, ::every]
+    there = np.ones(some.shape, np.bool_) if seen is None else seen[::every, ::every]
+    edge = edge & there if (edge & there).any() else there
+    if not edge.any():
+        return np.zeros((1, 1), np.float32)
     plane = fitted(terms[:, edge], some[edge])[0]
     for _ in range(_LEVEL_ROUNDS):
-        sky = np.abs(some - np.tensordot(plane, terms, 1)) < _LEVEL_SIGMAS * sigma
+        sky = there & (np.abs(some - np.tensordot(plane, terms, 1)) < _LEVEL_SIGMAS * sigma)
         if np.count_nonzero(sky & edge) < 0.5 * np.count_nonzero(edge):
             return np.zeros((1, 1), np.float32)
         columns = terms[:, sky].astype(np.float64)

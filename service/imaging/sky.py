@@ -14,6 +14,7 @@ from service.imaging.black import sigma_behind_black
 from service.imaging.clutter import Box, cluttered_box
 from service.imaging.features import FeatureSpec, feature_spec
 from service.imaging.frame_median import median_of
+from service.imaging.margins import margins_of, together
 from service.imaging.own_sky import SURFACE_SAMPLE, filled, fitted, some_of, surface_through
 
 _HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
@@ -58,10 +59,13 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     spec = feature_spec(feature, channels, background.bits, gradient_sigma_px)
     counts = background.counts
     density = (1 - FLOOR) * counts / max(1.0, counts.sum()) + FLOOR / spec.n_bins
-    known, some = background.known, _squares(background.known)
-    sample = background.frames[:, *some].astype(np.int64)
+    shown, never = _shown(background.frames)
+    known = background.known & ~never
+    known = known if known.any() else background.known
+    some = _squares(known)
+    sample = shown[:, *some].astype(np.int64)
     step = _step(sample, known[some])
-    counted = background.frames if step == 1 else background.frames.astype(np.float32) / np.float32(step)
+    counted = shown if step == 1 else shown.astype(np.float32) / np.float32(step)
     planes = _planes(counted, known, some)
     frames = np.subtract(counted, planes, dtype=np.float32)
     mean = median_of(frames)
@@ -83,8 +87,20 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         np.log(density),
         spec,
         cluttered_box(background.frames[-1], known),
-        _unsure(frames, middle, smooth, noise),
+        together(_unsure(frames, middle, smooth, noise), never if never.any() else None),
     )
+
+
+def _shown(frames: NDArray[np.generic]) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+    """(K, H, W, C) with what others show in the place of a frame's margins, and (H, W) what none shows."""
+    margins = [margins_of(frame, empty=True) for frame in frames]
+    nothing = np.zeros(frames.shape[1:3], np.bool_)
+    if all(one is None for one in margins):
+        return frames, nothing
+    shows = ~np.stack([nothing if one is None else one for one in margins])
+    count = shows.sum(axis=0)[..., None]
+    mean = np.sum(frames, axis=0, where=shows[..., None], dtype=np.float64) / np.maximum(count, 1)
+    return np.where(shows[..., None], frames, np.rint(mean).astype(frames.dtype)), count[..., 0] == 0
 
 
 def _step(counts: NDArray[np.int64], known: NDArray[np.bool_]) -> int:

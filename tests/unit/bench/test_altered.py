@@ -69,6 +69,20 @@ def test_of_a_black_sky_little_is_left():
         assert after.max() == before.max() - before[:20].max() + after[:20].max()
 
 
+@pytest.mark.parametrize(("dtype", "step"), [(np.uint8, 4), (np.uint16, 64)])
+def test_steps(dtype, step):
+    for image in ALTERATIONS["steps"](images(dtype))[1:]:
+        assert image.max() > 0 and not (image % step).any()
+
+
+def test_bars_stay_and_a_stabilised_window_moves():
+    given = images()
+    bars, moved = ([one == 0 for one in ALTERATIONS[how](given)] for how in ("bars", "stabilised"))
+    assert all((one == bars[0]).all() for one in bars) and bars[0][:14].all() and bars[0][-14:].all()
+    assert not bars[0][15:-15].any()
+    assert all(0 < one.mean() < 0.4 for one in moved) and any((one != moved[0]).any() for one in moved)
+
+
 def test_a_clock_goes_on_in_its_corner():
     given = images()
     first, second, *_ = ALTERATIONS["clock"](given)

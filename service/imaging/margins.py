@@ -1,0 +1,82 @@
+"""Where a frame shows nothing: black bars, the borders of a stabilised video, what lies outside of an eyepiece."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Mask = NDArray[np.bool_]
+
+_BLACK = 3 / 255  # numerical: of full scale, at the most: compression leaves no more in what was black
+_FLAT_PX, _SMEARED_PX = 5, 2  # numerical: across: of what is no noise; by which an edge is smeared
+# numerical: least share of an image that shows something, most of that which may be as dark as what does not
+_SHOWN, _AS_DARK = 0.2, 0.01
+# numerical: what lies beside is brighter by so many times what an empty sky differs by; by so many counts, where it is
+# not known to be empty
+_BRIGHTER_SIGMAS, _BRIGHTER = 3.0, 4.0
+_DIM = 0.9  # numerical: share of an empty sky without its stars
+_ABOVE_SIGMAS = 3.0  # numerical: the learnt sky over a pixel's least count
+
+
+def margins_of(image: NDArray[Any], *, empty: bool) -> Mask | None:
+    """(H, W) of a frame (H, W, C) that was not yet compared with a sky; None: there are none.
+
+    They are black, at the least count, reach the image's edge, and what lies between is not as dark: of a black sky
+    much is. ``empty``: the sky alone is seen; else the object may fill the image, and a black sky about it is no
+    margin.
+    """
+    least = image.min(axis=(0, 1)).astype(np.float32)
+    black = least.max() <= _BLACK * np.iinfo(image.dtype).max
+    found = _flat(image, np.ones(image.shape[:2], np.bool_)) if black else None
+    if found is None:
+        return None
+    shown = ~found
+    if shown.mean() < _SHOWN or _least(image)[shown].mean() > _AS_DARK:
+        return None
+    above = (image.astype(np.float32) - least).mean(axis=2)
+    beside = cv2.dilate(found.astype(np.uint8), _square(3)).astype(bool) & shown
+    sky = np.minimum(above[shown], np.quantile(above[shown], _DIM))
+    enough = max(_BRIGHTER_SIGMAS * float(sky.std()), 1.0) if empty else _BRIGHTER
+    return found if np.median(above[beside]) >= enough else None
+
+
+def margins_under(image: NDArray[np.generic], mean: NDArray[np.float32], sigma: NDArray[np.float64]) -> Mask | None:
+    """(H, W) of a frame (H, W, C) whose learnt sky (H, W, C) is brighter there by more than its noise (C,)."""
+    edges = [(slice(0, 1), slice(None)), (slice(-1, None), slice(None)), (slice(None), slice(0, 1))]
+    edges.append((slice(None), slice(-1, None)))
+    least = image.min(axis=(0, 1)).astype(np.float32)
+    too_dark = least + np.asarray(_ABOVE_SIGMAS * sigma, np.float32)
+    if not any(((image[at] <= least) & (mean[at] > too_dark)).all(axis=2).any() for at in edges):
+        return None
+    return _flat(image, (mean > too_dark).all(axis=2))
+
+
+def together(first: Mask | None, second: Mask | None) -> Mask | None:
+    """Where either is; None: nowhere."""
+    if first is None or second is None:
+        return second if first is None else first
+    return first | second
+
+
+def _least(image: NDArray[np.generic]) -> Mask:
+    """(H, W) where all channels are at their least."""
+    return np.asarray((image == image.min(axis=(0, 1))).all(axis=2))
+
+
+def _flat(image: NDArray[np.generic], where: Mask) -> Mask | None:
+    """(H, W) wide places at the least count that reach the image's edge, with what their edges smear."""
+    flat = cv2.morphologyEx((_least(image) & where).astype(np.uint8), cv2.MORPH_OPEN, _square(_FLAT_PX))
+    _, labels = cv2.connectedComponents(flat)
+    reach = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    reach = reach[reach > 0]
+    if not len(reach):
+        return None
+    found = np.isin(labels, reach).astype(np.uint8)
+    return np.asarray(cv2.dilate(found, _square(2 * _SMEARED_PX + 1)).astype(bool))
+
+
+def _square(side: int) -> NDArray[np.uint8]:
+    return np.ones((side, side), np.uint8)
