@@ -68,7 +68,8 @@ def _least(image: NDArray[np.generic]) -> Mask:
 
 def _flat(image: NDArray[np.generic], where: Mask) -> Mask | None:
     """(H, W) wide places at the least count that reach the image's edge, with what their edges smear."""
-    flat = cv2.morphologyEx((_least(image) & where).astype(np.uint8), cv2.MORPH_OPEN, _square(_FLAT_PX))
+    dark = np.pad((_least(image) & where).astype(np.uint8), _FLAT_PX, mode="edge")  # margins go on beyond the edge
+    flat = cv2.morphologyEx(dark, cv2.MORPH_OPEN, _square(_FLAT_PX))[_FLAT_PX:-_FLAT_PX, _FLAT_PX:-_FLAT_PX]
     _, labels = cv2.connectedComponents(flat)
     reach = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     reach = reach[reach > 0]
