@@ -19,9 +19,10 @@ def sigma_behind_black(frames: NDArray[np.int64], known: NDArray[np.bool_]) -> N
     ``known`` (H, W): pixels that show sky. Programs that make a sky black leave nothing of most of its pixels, but what
     lies above has all of the noise. With P_k the share of pixels that are k counts or more above the least, z_k its
     normal quantile: sigma = (k - 1) / (z_1 - z_k). Where few are above, only those count whose neighbours are not:
-    stars' pixels are never alone, and of noise they are as all are.
+    stars' pixels are never alone, and of noise they are as all are. A channel of which nothing is left is as loud as
+    the loudest.
     """
-    out = np.zeros(frames.shape[3])
+    out, nothing_left = np.zeros(frames.shape[3]), np.zeros(frames.shape[3], np.bool_)
     for channel in range(len(out)):
         values = frames[..., channel]
         counted = np.broadcast_to(known, values.shape)
@@ -29,11 +30,15 @@ def sigma_behind_black(frames: NDArray[np.int64], known: NDArray[np.bool_]) -> N
         above = (values > least).astype(np.uint8)
         if above[counted].mean() < _SPARSE:
             counted = counted & np.stack([cv2.dilate(one, _AROUND) == 0 for one in above])
+        if not counted.any():
+            continue
         share = np.bincount(values[counted] - least) / np.count_nonzero(counted)
         tail = 1 - np.cumsum(share)  # of 1, 2, ... counts and more above the least
         if not _LEAST <= tail[0] <= _WHOLE:
+            nothing_left[channel] = tail[0] < _LEAST
             continue
         k = max(int(np.argmin(np.abs(tail - _PART * tail[0]))), 1)
         if tail[k] > 1e-9:
             out[channel] = k / float(ndtri(1 - tail[k]) - ndtri(1 - tail[0]))
+    out[nothing_left] = out.max()
     return out

@@ -24,19 +24,21 @@ _ABOVE_SIGMAS = 3.0  # numerical: the learnt sky over a pixel's least count
 def margins_of(image: NDArray[Any], *, empty: bool) -> Mask | None:
     """(H, W) of a frame (H, W, C) that was not yet compared with a sky; None: there are none.
 
-    They are black, at the least count, reach the image's edge, and what lies between is not as dark: of a black sky
-    much is. ``empty``: the sky alone is seen; else the object may fill the image, and a black sky about it is no
-    margin.
+    They are black, at the least count of the image's edge, from there on, and what lies between is not as dark: of a
+    black sky much is. ``empty``: the sky alone is seen; else the object may fill the image, and a black sky about it is
+    no margin.
     """
-    least = image.min(axis=(0, 1)).astype(np.float32)
-    black = least.max() <= _BLACK * np.iinfo(image.dtype).max
-    found = _flat(image, np.ones(image.shape[:2], np.bool_)) if black else None
+    least = _edge(image).min(axis=0)
+    if least.max() > _BLACK * np.iinfo(image.dtype).max:
+        return None
+    dark = (image <= least).all(axis=2)
+    found = _flat(dark)
     if found is None:
         return None
     shown = ~found
-    if shown.mean() < _SHOWN or _least(image)[shown].mean() > _AS_DARK:
+    if shown.mean() < _SHOWN or dark[shown].mean() > _AS_DARK:
         return None
-    above = (image.astype(np.float32) - least).mean(axis=2)
+    above = (image.astype(np.float32) - least.astype(np.float32)).mean(axis=2)
     beside = cv2.dilate(found.astype(np.uint8), _square(3)).astype(bool) & shown
     sky = np.minimum(above[shown], np.quantile(above[shown], _DIM))
     enough = max(_BRIGHTER_SIGMAS * float(sky.std()), 1.0) if empty else _BRIGHTER
@@ -45,13 +47,17 @@ def margins_of(image: NDArray[Any], *, empty: bool) -> Mask | None:
 
 def margins_under(image: NDArray[np.generic], mean: NDArray[np.float32], sigma: NDArray[np.float64]) -> Mask | None:
     """(H, W) of a frame (H, W, C) whose learnt sky (H, W, C) is brighter there by more than its noise (C,)."""
-    edges = [(slice(0, 1), slice(None)), (slice(-1, None), slice(None)), (slice(None), slice(0, 1))]
-    edges.append((slice(None), slice(-1, None)))
-    least = image.min(axis=(0, 1)).astype(np.float32)
+    least = _edge(image).min(axis=0).astype(np.float32)
     too_dark = least + np.asarray(_ABOVE_SIGMAS * sigma, np.float32)
-    if not any(((image[at] <= least) & (mean[at] > too_dark)).all(axis=2).any() for at in edges):
+    dark = ((_edge(image) <= least) & (_edge(mean) > too_dark)).all(axis=1)
+    if not np.all([dark[k : len(dark) - _FLAT_PX + k] for k in range(_FLAT_PX)], axis=0).any():
         return None
-    return _flat(image, (mean > too_dark).all(axis=2))
+    return _flat((image <= least).all(axis=2) & (mean > too_dark).all(axis=2))
+
+
+def _edge(image: NDArray[Any]) -> NDArray[Any]:
+    """(N, C) the pixels along the edge of (H, W, C)."""
+    return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
 
 
 def together(first: Mask | None, second: Mask | None) -> Mask | None:
@@ -61,14 +67,9 @@ def together(first: Mask | None, second: Mask | None) -> Mask | None:
     return first | second
 
 
-def _least(image: NDArray[np.generic]) -> Mask:
-    """(H, W) where all channels are at their least."""
-    return np.asarray((image == image.min(axis=(0, 1))).all(axis=2))
-
-
-def _flat(image: NDArray[np.generic], where: Mask) -> Mask | None:
-    """(H, W) wide places at the least count that reach the image's edge, with what their edges smear."""
-    dark = np.pad((_least(image) & where).astype(np.uint8), _FLAT_PX, mode="edge")  # margins go on beyond the edge
+def _flat(least: Mask) -> Mask | None:
+    """(H, W) wide places at the ``least`` count that reach the image's edge, with what their edges smear."""
+    dark = np.pad(least.astype(np.uint8), _FLAT_PX, mode="edge")  # margins go on beyond the edge
     flat = cv2.morphologyEx(dark, cv2.MORPH_OPEN, _square(_FLAT_PX))[_FLAT_PX:-_FLAT_PX, _FLAT_PX:-_FLAT_PX]
     _, labels = cv2.connectedComponents(flat)
     reach = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))

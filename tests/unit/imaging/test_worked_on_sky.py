@@ -110,3 +110,8 @@ def test_a_few_stars_are_no_steps():
     for frame in dark:
         frame[20, 30:32] = 120
     assert sky_of(dark).sigma[0] == 0.5
+
+
+def test_a_channel_of_which_nothing_is_left_is_as_loud_as_the_others():
+    frames = raised(noisy(np.full((4 * HEIGHT, 4 * WIDTH, 3), (60.0, 60.0, 20.0)), 5.0, 6), 62)
+    assert sky_of(frames).sigma == pytest.approx([5.0, 5.0, 5.0], rel=0.2)
