@@ -28,17 +28,20 @@ def sigma_behind_black(frames: NDArray[np.int64], known: NDArray[np.bool_]) -> N
         counted = np.broadcast_to(known, values.shape)
         least = int(values[counted].min())
         above = (values > least).astype(np.uint8)
-        if above[counted].mean() < _SPARSE:
+        share = above[counted].mean()
+        if share > _WHOLE:
+            continue
+        if share < _SPARSE:
             counted = counted & np.stack([cv2.dilate(one, _AROUND) == 0 for one in above])
-        if not counted.any():
+        count = np.count_nonzero(counted)
+        if not count:
             continue
-        share = np.bincount(values[counted] - least) / np.count_nonzero(counted)
-        tail = 1 - np.cumsum(share)  # of 1, 2, ... counts and more above the least
-        if not _LEAST <= tail[0] <= _WHOLE:
-            nothing_left[channel] = tail[0] < _LEAST
-            continue
+        tail = (
+            count - np.cumsum(np.bincount(values[counted] - least))
+        ) / count  # of 1, 2, ... and more above the least
+        nothing_left[channel] = tail[0] < _LEAST
         k = max(int(np.argmin(np.abs(tail - _PART * tail[0]))), 1)
-        if tail[k] > 1e-9:
+        if not nothing_left[channel] and tail[k] > 0:
             out[channel] = k / float(ndtri(1 - tail[k]) - ndtri(1 - tail[0]))
     out[nothing_left] = out.max()
     return out

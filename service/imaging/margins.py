@@ -40,16 +40,19 @@ def margins_of(image: NDArray[Any], *, empty: bool) -> Mask | None:
         return None
     above = (image.astype(np.float32) - least.astype(np.float32)).mean(axis=2)
     beside = cv2.dilate(found.astype(np.uint8), _square(3)).astype(bool) & shown
-    sky = np.minimum(above[shown], np.quantile(above[shown], _DIM))
-    enough = max(_BRIGHTER_SIGMAS * float(sky.std()), 1.0) if empty else _BRIGHTER
+    enough = _BRIGHTER
+    if empty:
+        sky = np.minimum(above[shown], np.quantile(above[shown], _DIM))
+        enough = max(_BRIGHTER_SIGMAS * float(sky.std()), 1.0)
     return found if np.median(above[beside]) >= enough else None
 
 
 def margins_under(image: NDArray[np.generic], mean: NDArray[np.float32], sigma: NDArray[np.float64]) -> Mask | None:
     """(H, W) of a frame (H, W, C) whose learnt sky (H, W, C) is brighter there by more than its noise (C,)."""
-    least = _edge(image).min(axis=0).astype(np.float32)
+    edge = _edge(image)
+    least = edge.min(axis=0).astype(np.float32)
     too_dark = least + np.asarray(_ABOVE_SIGMAS * sigma, np.float32)
-    dark = ((_edge(image) <= least) & (_edge(mean) > too_dark)).all(axis=1)
+    dark = ((edge <= least) & (_edge(mean) > too_dark)).all(axis=1)
     if not np.all([dark[k : len(dark) - _FLAT_PX + k] for k in range(_FLAT_PX)], axis=0).any():
         return None
     return _flat((image <= least).all(axis=2) & (mean > too_dark).all(axis=2))
@@ -60,7 +63,7 @@ def _edge(image: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
 
 
-def together(first: Mask | None, second: Mask | None) -> Mask | None:
+def either(first: Mask | None, second: Mask | None) -> Mask | None:
     """Where either is; None: nowhere."""
     if first is None or second is None:
         return second if first is None else first

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.imaging.margins import margins_under, together
+from service.imaging.margins import either, margins_under
 from service.imaging.own_sky import fitted
 from service.imaging.sky import Sky
 
@@ -90,7 +90,7 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     share = weight.astype(np.float32)
     sigma = float(np.sqrt(weight @ sky.covariance @ weight))
     above = _weighed(data - mean, share)
-    unseen = together(sky.unsure, margins_under(whole, sky.mean, sky.sigma))
+    unseen = either(sky.unsure, margins_under(whole, sky.mean, sky.sigma))
     seen = None if unseen is None else ~unseen[rows, columns]
     above -= _own_level(above, sigma, seen)
     censored = data.max(axis=2) >= (1 << bits) - 1

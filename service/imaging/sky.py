@@ -14,7 +14,7 @@ from service.imaging.black import sigma_behind_black
 from service.imaging.clutter import Box, cluttered_box
 from service.imaging.features import FeatureSpec, feature_spec
 from service.imaging.frame_median import median_of
-from service.imaging.margins import margins_of, together
+from service.imaging.margins import either, margins_of
 from service.imaging.own_sky import SURFACE_SAMPLE, filled, fitted, some_of, surface_through
 
 _HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
@@ -40,7 +40,7 @@ class Sky:
     log_density: NDArray[np.float64]  # (bins,) log p(D|b) of the feature
     spec: FeatureSpec
     clutter: Box | None = None  # in which the body was told to lie, where there is more than sky about it
-    unsure: NDArray[np.bool_] | None = None  # (H, W) where something changes that is no sky, as a clock; None: nowhere
+    unsure: NDArray[np.bool_] | None = None  # (H, W) where a clock changes, or nothing was shown; None: nowhere
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -87,7 +87,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         np.log(density),
         spec,
         cluttered_box(background.frames[-1], known),
-        together(_unsure(frames, middle, smooth, noise), never if never.any() else None),
+        either(_unsure(frames, middle, smooth, noise), never if never.any() else None),
     )
 
 
@@ -107,14 +107,14 @@ def _step(counts: NDArray[np.int64], known: NDArray[np.bool_]) -> int:
     """By which (K, H, W, C) counts go where ``known`` (H, W): 16 where a camera of 12 bits fills 16, more where images
     were posterised. Where neighbours are more alike than by chance an image was compressed: its squares tell.
     """
-    values = counts[:, known]
-    above = values[values > values.min()] - values.min()
-    if len(above) < _TOLD_BY:
+    above = counts[:, known].ravel()
+    above -= above.min()
+    step = int(np.gcd.reduce(above)) if np.count_nonzero(above) >= _TOLD_BY else 1
+    if step == 1:
         return 1
-    step = int(np.gcd.reduce(above))
-    by_chance = float(np.sum((np.bincount((values // step).ravel() - int(values.min()) // step) / values.size) ** 2))
+    by_chance = float(np.sum((np.bincount(above // step) / len(above)) ** 2))
     alike = float(np.mean((counts[:, :, 1:] == counts[:, :, :-1])[:, known[:, 1:] & known[:, :-1]]))
-    return step if step == 1 or alike < by_chance + _ALIKE * (1 - by_chance) else 1
+    return step if alike < by_chance + _ALIKE * (1 - by_chance) else 1
 
 
 def _squares(known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -178,7 +178,8 @@ def _as_loud_as(noise: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArr
     now = np.sqrt(np.diag(noise))
     alike = noise / np.maximum(np.outer(now, now), 1e-12)
     np.fill_diagonal(alike, 1.0)
-    return np.asarray(alike * np.outer(*[np.maximum(now, sigma)] * 2))
+    louder = np.maximum(now, sigma)
+    return np.asarray(alike * np.outer(louder, louder))
 
 
 def _sigmas(noise: NDArray[np.float64]) -> NDArray[np.float64]:

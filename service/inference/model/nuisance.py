@@ -226,7 +226,7 @@ def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:
 
 
 def log_prior(nuisance: Nuisance, hill: Hill) -> float:
-    """Of all five in a frame, but for a constant."""
+    """Of all of it in a frame, but for a constant."""
     deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
     out = _log_prior(nuisance) - 0.5 * deviation**2
     if nuisance.hides is not None and hill.scene.hidden > 0:

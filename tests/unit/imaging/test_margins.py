@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.imaging.margins import margins_of, margins_under, together
+from service.imaging.margins import either, margins_of, margins_under
 from service.imaging.own_sky import own_sky
 from service.imaging.patch import light_of
 from tests.unit.imaging.test_background import noisy, sky_of
@@ -108,6 +108,6 @@ def test_a_dark_body_before_a_bright_sky_is_no_margin():
 
 def test_two_of_them_together():
     one, other = np.eye(2, dtype=bool), np.zeros((2, 2), bool)
-    assert together(None, None) is None
-    assert together(one, None) is one and together(None, one) is one
-    assert np.array_equal(together(one, other), one)
+    assert either(None, None) is None
+    assert either(one, None) is one and either(None, one) is one
+    assert np.array_equal(either(one, other), one)
