@@ -80,3 +80,53 @@ def test_every_prior_has_a_reason_or_a_unit_and_stands_in_the_model():
     assigned = [node.value for node in ast.parse(source).body if isinstance(node, ast.Assign)]
     held = set[float]().union(*map(numbers_in, assigned))
     assert sorted(held - told) == []
+
+
+def named(path: Path, kind: str | None) -> Iterator[str]:
+    """What section 8 of the model says of each: names, then their values."""
+    source = path.read_text()
+    for node in ast.parse(source).body:
+        if not isinstance(node, ast.Assign) or not numbers_in(node.value):
+            continue
+        if kind is None or kind_told(source.splitlines(), node.lineno, node.end_lineno or node.lineno) == kind:
+            names = ", ".join(f"`{name}`" for name in re.findall(r"\w+", ast.unparse(node.targets[0])))
+            values = re.findall(r"\d[\d.]*(?: / \d[\d.]*)?", ast.unparse(node.value))
+            yield f"{names} {', '.join(re.sub(r'[.]0$', '', one).replace(' ', '') for one in values)}"
+
+
+@pytest.mark.parametrize("path", [PRIORS, *MODULES], ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_prior_of_the_model_stands_in_it_by_name(path):
+    if documents_of(path) != ("model.md",):
+        pytest.skip("its priors are told in another document")
+    _, section = (ROOT / "docs/model.md").read_text().split("## 8. Priors by name")
+    told = [" ".join(item.split()) for item in section.split("\n- ")]
+    of_file = [item for item in told if path.name in item] if path != PRIORS else told
+    missing = [one for one in named(path, None if path == PRIORS else "prior") if not any(one in i for i in of_file)]
+    assert missing == []
+
+
+def unnamed_numbers(source: str) -> Iterator[str]:
+    """Lines of functions with a number that is neither named nor said what it is.
+
+    Whole numbers count, halves to eighths are arithmetic, and what is a thousandth at the most guards a division.
+    ``require`` tells a caller the ends of what it may ask for.
+    """
+    lines, tree = source.splitlines(), ast.parse(source)
+    required = [one for one in ast.walk(tree) if isinstance(one, ast.Call) and getattr(one.func, "id", "") == "require"]
+    told = {id(number) for call in required for number in ast.walk(call)}
+    functions = [one for one in ast.walk(tree) if isinstance(one, ast.FunctionDef)]
+    numbers = {id(one): one for function in functions for one in ast.walk(function) if isinstance(one, ast.Constant)}
+    for one in numbers.values():
+        tuned = type(one.value) is float and one.value > 1e-3 and (8 * one.value) % 1 and id(one) not in told
+        if tuned and not any(SAYS.search(near) for near in lines[one.lineno - 2 : one.lineno]):
+            yield f"{one.lineno}: {one.value}"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_function_hides_a_number(path):
+    assert list(unnamed_numbers(path.read_text())) == []
+
+
+def test_a_hidden_number_would_be_found():
+    assert list(unnamed_numbers("def f(x):\n    return 0.7 * x + 0.5\n")) == ["2: 0.7"]
+    assert list(unnamed_numbers("def f(x):\n    return 0.7 * x  # exact: seven tenths\n")) == []

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-# numerical: a sky of which more lies above its least count is whole; of one that has less nothing is told; where so
+# prior: a sky of which more lies above its least count is whole; of one that has less nothing is told; where so
 # many pixels are at the least stars are told from noise; share of what lies above by which the tail's width is told
 _WHOLE, _LEAST, _SPARSE, _PART = 0.95, 0.003, 0.2, 0.3
-_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)  # exact: a pixel's neighbours
 
 
 def sigma_behind_black(frames: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.float64]:

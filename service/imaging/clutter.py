@@ -22,6 +22,7 @@ Box = tuple[int, int, int, int]  # x, y, width, height; px
 _LEVELS, _GREYS, _ROUGH = 16, 32, 8  # numerical: of a colour's channel; of grey, and octaves of roughness
 SIZES = (_LEVELS**3, _GREYS * _ROUGH)  # exact: values of either feature
 _SMOOTH_PX = 1.0  # prior: light is at least so smooth
+_ENDS = (0.1, 99.9)  # numerical: per cent of a frame's values: the ends of the scale of its colours
 _FINEST_SLOPE = 0.25  # numerical: of 256 levels a pixel: below it all is smooth
 _UNSEEN = 50.0  # prior: pixels that a density is worth before any is seen: it is that of all pixels together
 _EVEN = 0.02  # prior: of it, alike for all values
@@ -92,7 +93,7 @@ def palette_of(image: NDArray[np.generic], box: Box) -> Palette:
 
     Expectation and maximisation: which pixels of the box are the body's, and what colours each has.
     """
-    low, high = (float(v) for v in np.percentile(np.asarray(image, np.float32), (0.1, 99.9)))
+    low, high = (float(v) for v in np.percentile(np.asarray(image, np.float32), _ENDS))
     span = max(high - low, 1.0)
     bins, size = features(image, low, span), _size(image)
     inside, near = within(bins.shape, box), within(bins.shape, box, _AROUND)

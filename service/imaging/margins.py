@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 
-_BLACK = 3 / 255  # numerical: of full scale, at the most: compression leaves no more in what was black
-_FLAT_PX, _SMEARED_PX = 5, 2  # numerical: across: of what is no noise; by which an edge is smeared
-# numerical: least share of an image that shows something, most of that which may be as dark as what does not
+_BLACK = 3 / 255  # prior: of full scale, at the most: compression leaves no more in what was black
+_FLAT_PX, _SMEARED_PX = 5, 2  # prior: px across: of what is no noise; by which an edge is smeared
+# prior: least share of an image that shows something, most of that which may be as dark as what does not
 _SHOWN, _AS_DARK = 0.2, 0.01
-# numerical: what lies beside is brighter by so many times what an empty sky differs by; by so many counts, where it is
+# prior: what lies beside is brighter by so many times what an empty sky differs by; by so many counts, where it is
 # not known to be empty
 _BRIGHTER_SIGMAS, _BRIGHTER = 3.0, 4.0
-_DIM = 0.9  # numerical: share of an empty sky without its stars
-_ABOVE_SIGMAS = 3.0  # numerical: the learnt sky over a pixel's least count
+_DIM = 0.9  # prior: share of an empty sky without its stars
+_ABOVE_SIGMAS = 3.0  # prior: the learnt sky over a pixel's least count
 
 
 def margins_of(image: NDArray[Any], *, empty: bool) -> Mask | None:

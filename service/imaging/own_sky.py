@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 _BORDER_SHARE = 12  # numerical: of the shorter side: the ring from which the first guess comes
 _ROUNDS = 4  # numerical: of outliers found and left out
 SURFACE_SAMPLE = 16_384  # numerical: pixels that tell a surface, and its noise to half a percent
-_OUTLIER_SIGMAS = 4.0  # numerical: of one pixel
+OUTLIER_SIGMAS = 4.0  # numerical: of one pixel
+OF_A_NORMAL = 1.4826  # exact: its standard deviation, over the median of absolute deviations
 _SMOOTH_PX = 1.5  # prior: light is at least so smooth
 _LIGHT_SIGMAS = 5.0  # prior: after that smoothing: one pixel in a million of empty sky
 # prior: of an object's extent, beyond it: what the air throws there is too faint to be seen as light
@@ -26,8 +27,9 @@ _FAINT_SHARE = 0.15
 _FAINT_PX = 4  # prior: the same, of a small one
 _BRIGHT_SHARE = 0.1  # prior: of the peak: light that is taken for the object's before the haze is known
 _HAZE_SHARE = 0.1  # prior: of the image's side: what is narrower is no haze
+_LITTLE = 1e-2  # numerical: share of what is seen where nothing is: the surface alone
 _HAZE_SIDE_PX = 96  # numerical: it is smooth, so it is looked for in a picture of this size
-# numerical: share of an empty frame that is neither star nor hot; over so many sigmas it is never more than white noise
+# prior: share of an empty frame that is neither star nor hot; over so many sigmas it is never more than white noise
 _SKY, _SKY_SIGMAS = 0.9, 2.2
 _LEAST_SIGMA = 0.5  # exact: counts: below it quantisation is the noise
 
@@ -89,10 +91,10 @@ def fitted(columns: NDArray[np.float32], values: NDArray[np.float32], *, empty: 
     sigma = _LEAST_SIGMA
     for _ in range(_ROUNDS):
         residual = values - level @ columns
-        sigma = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_SIGMA)
+        sigma = max(OF_A_NORMAL * float(np.median(np.abs(residual))), _LEAST_SIGMA)
         if empty:
             sigma = max(sigma, float(np.quantile(np.abs(residual), _SKY)) / _SKY_SIGMAS)
-        inside = np.abs(residual) <= _OUTLIER_SIGMAS * sigma
+        inside = np.abs(residual) <= OUTLIER_SIGMAS * sigma
         chosen = columns[:, inside]
         level = np.linalg.lstsq(chosen @ chosen.T, chosen @ values[inside], rcond=None)[0]
     return level, sigma
@@ -113,7 +115,7 @@ def _surface(channel: Map, where: NDArray[np.bool_]) -> tuple[Map, float]:
 
 def _enough(known: NDArray[np.bool_], ring: NDArray[np.bool_], above: Map, sigma: float) -> NDArray[np.bool_]:
     """Where the object is nearly everywhere, the border is all there is."""
-    return known if known.sum() >= ring.sum() / 2 else ring & (np.abs(above) <= _OUTLIER_SIGMAS * sigma)
+    return known if known.sum() >= ring.sum() / 2 else ring & (np.abs(above) <= OUTLIER_SIGMAS * sigma)
 
 
 def _sky(channel: Map, known: NDArray[np.bool_]) -> tuple[Map, float]:
@@ -122,9 +124,9 @@ def _sky(channel: Map, known: NDArray[np.bool_]) -> tuple[Map, float]:
     chosen = some_of(known, SURFACE_SAMPLE)
     for _ in range(2):
         left = channel - surface
-        sky = (known & (np.abs(left) <= _OUTLIER_SIGMAS * sigma)).astype(np.float32)
+        sky = (known & (np.abs(left) <= OUTLIER_SIGMAS * sigma)).astype(np.float32)
         haze = _haze(left * sky, sky)
-        sigma = max(1.4826 * float(np.median(np.abs((left - haze).ravel()[chosen]))), _LEAST_SIGMA)
+        sigma = max(OF_A_NORMAL * float(np.median(np.abs((left - haze).ravel()[chosen]))), _LEAST_SIGMA)
         surface = surface + haze
     return surface, sigma
 
@@ -138,7 +140,7 @@ def _haze(light: Map, weight: Map) -> Map:
     some, seen = (
         cv2.GaussianBlur(cv2.resize(one, size, interpolation=cv2.INTER_AREA), (0, 0), far) for one in (light, weight)
     )
-    return np.asarray(cv2.resize(some / (seen + 1e-2), (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+    return np.asarray(cv2.resize(some / (seen + _LITTLE), (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _light(above: Map, sigma: float, share: float = 0.0) -> NDArray[np.bool_]:

@@ -20,6 +20,9 @@ Map = NDArray[np.float32]
 _LEVEL_PIXELS, _LEVEL_BORDER = 4_096, 0.15
 _LEVEL_ROUNDS, _LEVEL_SIGMAS = 3, 3.0  # numerical
 _LEAST_BRIGHT_PX = 64  # numerical: from which light's own noise is told
+_LOCAL_PX, _BRIGHT_SIGMAS = 1.5, 6.0  # numerical: level of light of which noise is told: over, and above, so much
+_LEAST_PHOTON, _SLOPES = 1e-3, 40  # numerical: of the sky's noise, at the least; grid from there to that noise
+_QUARTILE = 0.1015  # exact: lower quartile of a normal deviate's square
 _MARGIN = 0.3  # numerical: sky on each side of the light, as a share of its longer side
 _LEAST_MARGIN_PX = 6  # numerical
 LANES = 16  # exact: a side is a multiple, rows of whole lanes
@@ -155,17 +158,17 @@ def _photon_transfer(above: Map, sigma: float) -> float:
     little light to tell, a thousandth of the sky's own noise.
     """
     fine = cv2.filter2D(above, cv2.CV_32F, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6.0)
-    local = cv2.GaussianBlur(above, (0, 0), 1.5)
-    bright = local > 6 * sigma
-    least = 1e-3 * sigma
+    local = cv2.GaussianBlur(above, (0, 0), _LOCAL_PX)
+    bright = local > _BRIGHT_SIGMAS * sigma
+    least = _LEAST_PHOTON * sigma
     if np.count_nonzero(bright) < _LEAST_BRIGHT_PX:
         return least
     square, light = fine[bright] ** 2, local[bright]
-    slopes, quarter = np.geomspace(least, sigma, 40), len(light) // 4
+    slopes, quarter = np.geomspace(least, sigma, _SLOPES), len(light) // 4
 
     def above_quartile(k: int) -> float:
         """Falls as slopes rise."""
-        return float(np.partition(square / (sigma**2 + slopes[k] * light), quarter)[quarter]) - 0.1015
+        return float(np.partition(square / (sigma**2 + slopes[k] * light), quarter)[quarter]) - _QUARTILE
 
     k = bisect_left(range(len(slopes)), 0.0, key=lambda k: -above_quartile(k))
     near = range(max(k - 1, 0), min(k + 1, len(slopes)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 _PRESMOOTH_PX = 0.6
 _PIXEL_VARIANCE = 0.5  # of the pixel's own box and of the derivative kernel, px^2
 _REACHES_PX = (4, 8, 16)
-_FEWEST_EDGES = 8
+_FEWEST_EDGES, _CREST_PX = 8, 5
 _STEP, _FOOT = 12, 4  # sigmas of the sky: least height of an edge, most light at its foot
 _HOLDS = 0.45  # of a reach: the widest point spread that it shows whole
 _SHARPER, _LEAST_VARIANCE = 25, 0.1  # per cent of edges that are believed; px^2
@@ -28,7 +28,7 @@ def estimate_psf_sigma(contrast: NDArray[np.float32]) -> float | None:
     dx = cv2.Sobel(z, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
     dy = cv2.Sobel(z, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
     slope = np.asarray(np.hypot(dx, dy), dtype=np.float32)
-    crest = (slope >= cv2.dilate(slope, np.ones((5, 5), dtype=np.uint8))) & (slope > 1)
+    crest = (slope >= cv2.dilate(slope, np.ones((_CREST_PX, _CREST_PX), dtype=np.uint8))) & (slope > 1)
     if np.count_nonzero(crest) < _FEWEST_EDGES:
         return None
     sigma = None

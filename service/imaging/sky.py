@@ -15,19 +15,29 @@ from service.imaging.clutter import Box, cluttered_box
 from service.imaging.features import FeatureSpec, feature_spec
 from service.imaging.frame_median import median_of
 from service.imaging.margins import either, margins_of
-from service.imaging.own_sky import SURFACE_SAMPLE, filled, fitted, some_of, surface_through
+from service.imaging.own_sky import (
+    OF_A_NORMAL,
+    OUTLIER_SIGMAS,
+    SURFACE_SAMPLE,
+    filled,
+    fitted,
+    some_of,
+    surface_through,
+)
 
-_HOT_SIGMAS, _LEAST_SIGMA = 6.0, 0.3  # numerical: above a smooth sky: a hot pixel; counts
-_SQUARE, _CHANCE = 8, 6.0  # numerical: px that noise may be alike over; standard deviations
-_LOUD, _BEYOND = 0.98, 1.5  # numerical: of squares: more are full of stars; of white noise less than four sigma
-_EVEN = 4.0  # numerical: sigmas between a square's quartiles: white noise has 1.3, a text many
-_GLYPH_PX = 9  # numerical: strokes of a clock's digits lie no further apart
+_HOT_SIGMAS = 6.0  # prior: above a smooth sky: a hot pixel
+_LEAST_SIGMA = 0.3  # exact: counts: quantisation alone has 0.29
+_SQUARE, _CHANCE = 8, 6.0  # prior: px that noise may be alike over; standard deviations that chance does not reach
+_LOUD, _BEYOND = 0.98, 1.5  # prior: of squares: more are full of stars; of white noise less than four sigma
+_EVEN = 4.0  # prior: sigmas between a square's quartiles: white noise has 1.3, a text many
+_GLYPH_PX = 9  # prior: strokes of a clock's digits lie no further apart
 STAR_PX = 11  # prior: extent of a bright star above the threshold
 _ONCE = 2  # exact: changes of what comes and goes once
 _PLANE = 3  # exact: numbers of a frame's own plane, which its squares no longer have
 _SAMPLE = 32_768  # numerical: pixels of a frame that tell its level, and noise to half a percent
-_TOLD_BY = 64  # numerical: counts above the least that tell by which step they go: no stars' alone
-_ALIKE = 0.2  # numerical: of neighbours that chance would leave different: more are so by compression
+_TOLD_BY = 64  # prior: counts above the least that tell by which step they go: no stars' alone
+_ALIKE = 0.2  # prior: of neighbours that chance would leave different: more are so by compression
+_SMOOTH_PX, _SMOOTH_SHARE = 2.0, 1 / 40  # prior: an empty sky is smooth over so much, at the least; of a side
 _COARSE_PX = 256  # numerical: a side at which a sky is smoothed
 
 
@@ -166,8 +176,8 @@ def _noise(residual: NDArray[np.float32], loud: NDArray[np.float32] | float = 0.
     The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
     fifth off at two counts.
     """
-    robust = 1.4826 * np.median(np.abs(residual), axis=(0, 1))
-    inside = np.abs(residual) <= np.maximum(4 * np.maximum(robust, 0.5), loud)
+    robust = OF_A_NORMAL * np.median(np.abs(residual), axis=(0, 1))
+    inside = np.abs(residual) <= np.maximum(OUTLIER_SIGMAS * np.maximum(robust, 0.5), loud)
     seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
     both = inside.reshape(seen.shape).astype(np.float64)
     return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
@@ -256,7 +266,7 @@ def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:
     enough.
     """
     height, width = mean.shape
-    sigma, coarser = max(2.0, min(mean.shape) / 40), max(1, min(mean.shape) // _COARSE_PX)
+    sigma, coarser = max(_SMOOTH_PX, _SMOOTH_SHARE * min(mean.shape)), max(1, min(mean.shape) // _COARSE_PX)
     size = width // coarser, height // coarser
 
     def low(image: NDArray[np.generic], share: float = 1.0) -> NDArray[np.float32]:
@@ -274,5 +284,5 @@ def _smooth_sky(mean: NDArray[np.float32]) -> NDArray[np.float32]:
     for _ in range(3):
         coarse = whole(low(left * sky) / (low(sky) + 1e-3))  # in the midst of a wide outlier: the surface
         deviation = np.abs(left - coarse)
-        sky = deviation <= 4 * 1.4826 * np.median(deviation.ravel()[chosen]) + 1e-6
+        sky = deviation <= OUTLIER_SIGMAS * OF_A_NORMAL * np.median(deviation.ravel()[chosen]) + 1e-6
     return surface + whole(low(np.where(sky, left, coarse), 0.5))

@@ -19,7 +19,7 @@ import numpy as np
 from service.inference.belief import Belief
 from service.inference.domain import Domain
 from service.inference.estimate import tangent
-from service.inference.model.prior import NEWCOMER
+from service.inference.model.prior import NEW_MODE
 from service.inference.modes import LEAST_MODE, MOST_MODES
 from service.inference.motion import MotionNoise, carry_on
 from service.inference.pose import concatenate, exp_so3, retract, rotation_matrices
@@ -72,7 +72,7 @@ def step_back(belief: Belief, later: Belief, space: Space) -> Belief:
         images = list(alike(target, space))
         met = [forecast.meet(images, space.domain) for forecast in forecasts]
         log_shares = belief.log_weights + np.array([log_density for log_density, _, _ in met])
-        log_new = float(np.log(NEWCOMER)) + _log_unknown(target.rate, space)
+        log_new = float(np.log(NEW_MODE)) + _log_unknown(target.rate, space)
         total = log_sum_exp(np.append(log_shares, log_new))
         # What a search found tells nothing of where the object was before.
         stay = weight * float(np.exp(log_new - total)) * np.exp(belief.log_weights)

@@ -21,6 +21,7 @@ Region = tuple[slice, slice]  # rows and columns of a frame
 _AROUND = 2.0  # radii of the body about where it is expected
 _MARGIN_PX = 32
 _RIM_PX = 3.0  # of a bright body's light in usual seeing
+_LEAST_SPAN_PX = 8.0  # of light that is cut out
 _WORTH = 0.5  # of the frame's pixels: a region that is larger saves nothing
 """Numerical: where the object is not found in its region, the whole frame is looked at."""
 
@@ -87,7 +88,7 @@ class LightOfFrame:
         box = self._box
         near = box is not None and float(np.hypot(*(np.array(box.centre) - centre))) <= reach_px
         if box is not None and near and box.side <= 2 * reach_px:
-            return self._seen(box.centre, max(box.side, 8.0), psf_px)
+            return self._seen(box.centre, max(box.side, _LEAST_SPAN_PX), psf_px)
         return self._seen((float(centre[0]), float(centre[1])), span_px, psf_px)
 
     @cached_property

@@ -132,7 +132,7 @@ def match(
     bank: T.Bank,
     seen: Looks,
     log_scale: float | None = None,
-    log_scale_sigma: float = 0.03,
+    log_scale_sigma: float = 0.0,
     kept: int | None = None,
 ) -> tuple[Array, list[Poses]]:
     """(kinds, N) best correlation of each template, and the pose that it means at its best look of each kind.

@@ -21,6 +21,7 @@ from service.inference.revolution import Axis, angle_apart, turned_within
 from service.inference.state import Array, Poses
 
 HOPELESS = 100.0  # numerical: nats behind the best after two of the later stages' steps: none comes back
+_LOOKED_THROUGH = 12  # numerical: candidates a basin that is kept
 SHARED_DEG = 5.0  # numerical: poses nearer than this are one basin while it is coarse
 # numerical: of a joint's range, 22 degrees of a whole turn: as far apart, two poses turned alike are two basins
 _JOINT_APART = 0.06
@@ -91,7 +92,7 @@ def joined(several: Sequence[Candidates]) -> Candidates:
 def best_of(some: Candidates, kept: int, articulation: Articulation | None = None) -> Candidates:
     """The best of each basin, best first. ``articulation``: poses turned alike are told apart by their joints."""
     order = np.argsort(-some.found)
-    order = order[distinct(some.poses[order[: 12 * kept]], np.deg2rad(SHARED_DEG), articulation)][:kept]
+    order = order[distinct(some.poses[order[: _LOOKED_THROUGH * kept]], np.deg2rad(SHARED_DEG), articulation)][:kept]
     return some[order]
 
 

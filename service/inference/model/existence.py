@@ -16,6 +16,7 @@ from service.inference.numerics.hill import Hill
 from service.inference.state import Array, Goodness
 
 ABSENT, FITS, NO_FIT = range(3)
+_LEAST_CHI2 = 1e-3  # numerical: so that it has a logarithm
 
 
 def expected(before: Array | None, dt_s: float) -> Array:
@@ -72,11 +73,11 @@ def log_of_disturbance(chi2: float, level: Array) -> float:
     """Log density of the mean square that is left over where something has come between, over that of where this body
     fits: then no more is left than it has left until now (``level``, mean and variance of its log).
 
-    A Student t with 4 degrees of freedom about the level; better is no less usual, worse no less a disturbance.
+    A Student t about the level; better is no less usual, worse no less a disturbance.
     """
-    at = float(np.log(max(chi2, 1e-3)))
+    nu, at = prior.LOG_CHI2_FREEDOM, float(np.log(max(chi2, _LEAST_CHI2)))
     mean, variance = level[0], level[1] + prior.LOG_CHI2_JITTER**2
-    usual = -2.5 * np.log1p(max(at - mean, 0.0) ** 2 / (4 * variance)) - 0.5 * np.log(variance)
+    usual = -0.5 * (nu + 1) * np.log1p(max(at - mean, 0.0) ** 2 / (nu * variance)) - 0.5 * np.log(variance)
     rise, sigma = prior.LOG_CHI2_DISTURBED
     sigma = float(np.hypot(sigma, np.sqrt(level[1])))
     disturbed = -0.5 * min((at - mean - rise) / sigma, 0.0) ** 2 - np.log(sigma)
@@ -92,8 +93,9 @@ def usual_chi2(before: Array | None = None, chi2: float = 1.0, fits: float = 0.0
         return np.array([prior.LOG_CHI2[0], prior.LOG_CHI2[1] ** 2])
     mean, variance = before
     if fits >= 0.5:
-        away, wide = float(np.log(max(chi2, 1e-3))) - mean, variance + prior.LOG_CHI2_JITTER**2
-        gain = variance / wide * min(5 / (4 + away**2 / wide), 1.0)
+        away, wide = float(np.log(max(chi2, _LEAST_CHI2))) - mean, variance + prior.LOG_CHI2_JITTER**2
+        nu = prior.LOG_CHI2_FREEDOM
+        gain = variance / wide * min((nu + 1) / (nu + away**2 / wide), 1.0)
         mean, variance = mean + gain * away, (1 - gain) * variance
     return np.array([mean, variance + prior.LOG_CHI2_DRIFT**2])
 

@@ -23,6 +23,7 @@ MIXTURE_WIDTHS = (1.164, 1.936, 5.691)
 # exact: mean square width of the two inner ones, in units of w^2
 _INNER = MIXTURE_WEIGHTS[0] * MIXTURE_WIDTHS[0] ** 2 + MIXTURE_WEIGHTS[1] * MIXTURE_WIDTHS[1] ** 2
 _REACH = 5.5  # numerical: sigmas of a Gaussian that are summed: beyond lies less than a float32's rounding
+_NARROWEST = 0.4  # numerical: px: of a narrower one the slopes fall between the pixels
 # numerical: of a Gaussian's height: products below a float32's exponents take 30 times as long
 LEAST = 1e-12
 
@@ -114,7 +115,7 @@ def taps(side: int, sigma: float) -> Images:
 @lru_cache(maxsize=256)
 def slope_taps(side: int, sigma: float) -> Images:
     """(2 r + 1,) of its derivative by place; a ramp's is exact."""
-    width = max(sigma, 0.4)  # a narrower one falls between the pixels
+    width = max(sigma, _NARROWEST)
     reach = _reach(side, width)
     kernel = reach * np.exp(-0.5 * (reach / width) ** 2)
     return _kept(kernel / (reach * kernel).sum())

@@ -25,6 +25,7 @@ KINDS = ("light", "root", "lit", "edges", "outline")
 _RIM_PX = 3.75
 _FIRST_SIDE = 24  # numerical: of the draft from which the moments are taken
 _LIT = 0.08  # numerical: of the brighter light: lit from here on
+_STEEP = 8.0  # numerical: from dark to lit, of the brighter light
 _BRIGHTER, _MOST = 0.99, 1.5  # numerical: quantile that light is a share of, and its greatest share
 # numerical: pictures in which templates are compared at first, found of every so many: 0.97 of what they show
 _PRINCIPAL, _PRINCIPAL_OF = 64, 4
@@ -64,6 +65,7 @@ def rotations(count: int) -> Array:
     """(count, 4) rotations evenly over SO(3): super-Fibonacci spirals (Alexa, CVPR 2022)."""
     s = np.arange(count) + 0.5
     inner, outer = np.sqrt(s / count), np.sqrt(1 - s / count)
+    # exact: the spirals' own root, of x^4 = x + 4
     a, b = 2 * np.pi * s / np.sqrt(2), 2 * np.pi * s / 1.533751168755204288118041
     out = np.column_stack([inner * np.sin(a), inner * np.cos(a), outer * np.sin(b), outer * np.cos(b)])
     out.flags.writeable = False
@@ -73,8 +75,10 @@ def rotations(count: int) -> Array:
 def directions(count: int) -> Array:
     """(count, 3) directions evenly over the sphere (Fibonacci's), in an order that rotations do not share."""
     k = np.arange(count)
-    z = 1 - 2 * ((k * 0.7548776662466927 + 0.5) % 1.0) if count > 64 else 1 - (2 * k + 1) / count
-    angle = 2 * np.pi * ((k * (0.5698402909980532 if count > 64 else 0.6180339887498949)) % 1.0)
+    # exact: of the plastic number, and of a few directions the golden ratio's
+    down, turn = (0.7548776662466927, 0.5698402909980532) if count > 64 else (0.0, 0.6180339887498949)
+    z = 1 - 2 * ((k * down + 0.5) % 1.0) if count > 64 else 1 - (2 * k + 1) / count
+    angle = 2 * np.pi * ((k * turn) % 1.0)
     ring = np.sqrt(np.maximum(1 - z * z, 0))
     return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
 
@@ -124,7 +128,7 @@ def kinds_of(light: Images, outline: Images, out: Images | None = None) -> Image
     out = np.empty((len(KINDS), len(light), light[0].size), np.float32) if out is None else out
     scaled = np.clip(light / np.maximum(brighter(light), 1e-6)[:, None, None], 0, _MOST).astype(np.float32)
     root = np.sqrt(scaled)
-    lit = np.clip((scaled - _LIT) * 8 + 0.5, 0, 1)
+    lit = np.clip((scaled - _LIT) * _STEEP + 0.5, 0, 1)
     for picture, kind in zip((scaled, root, lit, _edges(root), outline), out, strict=True):
         kind[:] = normalised(_soft(picture))
     return out

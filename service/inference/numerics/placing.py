@@ -25,6 +25,7 @@ from service.inference.state import Array, Poses
 
 _ROUNDS = 3  # numerical: of reweighting
 _FAINT = 1e-3  # numerical: of the brightest pixel: what is less moves nothing
+_LEAST = 1e-3  # numerical: of the first guess of its light: the body is never thought dark
 
 
 def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
@@ -84,7 +85,7 @@ def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: flo
     if bright[-1] <= 0:  # nothing of it shows
         return np.zeros(2)
     bright[0] = max(bright[0], 0.0)
-    least, best, highest, move, level = 1e-3 * bright[0], np.zeros(2), -np.inf, np.zeros(2), 0.0
+    least, best, highest, move, level = _LEAST * bright[0], np.zeros(2), -np.inf, np.zeros(2), 0.0
     for _ in range(_ROUNDS + 1):
         there = np.stack([_shifted(one, move) for one in parts])
         picture, dx, dy = np.tensordot(bright.astype(np.float32), there, 1)

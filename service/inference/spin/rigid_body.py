@@ -214,6 +214,7 @@ def _between(q: Array, w: Array, index: Array, share: Array, h: float) -> tuple[
 
 def places(first_s: float, last_s: float) -> Array:
     """(16,) uneven times over a span, in rising order: motions that meet at even ones are apart at some of them."""
+    # exact: the golden ratio's
     golden = np.sort(np.arange(15) * 0.6180339887498949 % 1.0)
     return first_s + (last_s - first_s) * np.append(golden, 1.0)
 

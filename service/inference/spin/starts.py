@@ -25,6 +25,7 @@ _NEIGHBOURS = (1, 2, 4, 8)  # numerical: frames either side of an anchor that gi
 _FASTEST_SIGMAS = 3.0  # numerical: a turn between two frames is thought of up to this rate
 _TRIED, _FOLLOWED, _TUMBLING, _SHAPES = 400, 24, 6, 4  # numerical: candidates
 _FIRST, _THINNED = 9, 48  # numerical: frames of the first window, and of any
+_TURNS = 8  # numerical: whole ones between two frames, at the most
 _ROUNDS = 4  # numerical: steps in each window
 _SAME_RAD = 0.03  # numerical: candidates that are nowhere further apart are one
 # numerical: nats below the best, counted as if frames erred each by itself: that is given up
@@ -79,7 +80,7 @@ def pairs(frames: PassFrames, prior: MotionPrior, k: int) -> Motions:
                 turn = log_so3(multiply(conjugate(frames.quaternion[k, m]), frames.quaternion[j, other]))
                 angle = float(np.linalg.norm(turn))
                 axis = turn / angle if angle > 1e-9 else np.array([1.0, 0.0, 0.0])
-                whole = int(min(most * abs(dt_s) / (2 * np.pi), 8))
+                whole = int(min(most * abs(dt_s) / (2 * np.pi), _TURNS))
                 for n in range(-whole - 1, whole + 1):
                     rate = (angle + 2 * np.pi * n) / dt_s
                     if abs(rate) <= most:
