@@ -157,7 +157,7 @@ class EvidenceGroups:
             "stars": (marks, boxes),
             "products": (sky, tile),
             "move": (offset, results[-1], *matrix, later),
-            "finish": (results[0],),
+            "finish": (marks, results[0]),
             "tell": (mean, offset, sky, *results[1:]),
         }
         self._given = [*common, *held, *results, given]  # a kernel does not keep what it is told

@@ -389,27 +389,30 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
     return lit;
 }
 
-// Sum of log t of the residuals, and the mean square of those on the body over their scale.
-static double log_density(const Scene s, const Room r, float *chi2)
+// Sum of log t of the residuals, and the mean square of those on the body over their scale. Of a pixel of which a least
+// value is known all that is more is as likely: it has t over its height, and no part in the mean.
+static double log_density(const Scene s, const Room r, __global const uchar *marks, float *chi2)
 {
     const double density = lgamma(0.5 * (NU + 1.0)) - lgamma(0.5 * NU) - 0.5 * log(NU * M_PI);
     __global const float *residuals = picture_in(s, r, RESIDUAL);
-    floats misfit = 0.0f, body = 0.0f;
+    floats misfit = 0.0f, body = 0.0f, told = 0.0f;
     double total = 0.0;
     for (int row = 0; row < s.side; ++row) {
         floats sum = 0.0f;
         for (int k = row * s.side; k < (row + 1) * s.side; k += LANES) {
             const floats residual = floats_at(residuals + k), variance = floats_at(r.variance + k);
             const floats light = floats_at(r.light + k), part = residual * residual / variance;
-            sum += 0.5f * log(variance) + loss_of(residual, variance);
-            const ints on = light * light > s.sigma2 / s.area;
+            const ints known = (convert_int16(vload16(0, marks + k)) & 1) == 0;
+            sum += (known ? 0.5f * log(variance) : 0.0f) + loss_of(residual, variance);
+            told += known ? 1.0f : 0.0f;
+            const ints on = (light * light > s.sigma2 / s.area) & known;
             misfit += on ? part : 0.0f;
             body += on ? 1.0f : 0.0f;
         }
         total -= (double)sum_of(sum);
     }
     *chi2 = sum_of(body) > 0.0f ? sum_of(misfit) / sum_of(body) : 0.0f;
-    return total + density * s.pixels;
+    return total + density * sum_of(told);
 }
 
 // Where the unknowns are, in the order in which they are given; dark planes' at their prior means.
@@ -549,7 +552,7 @@ __kernel void evidence(
             squares += r.precision[i] * (r.value[i] - r.mean[i]) * (r.value[i] - r.mean[i]);
         }
         float chi2;
-        const double value = log_density(s, r, &chi2) / area + gained - 0.5 * squares - 0.5 * logdet;
+        const double value = log_density(s, r, marks, &chi2) / area + gained - 0.5 * squares - 0.5 * logdet;
         out[4 * pose] = sound ? (float)value : -INFINITY;
         out[4 * pose + 1] = chi2;
         out[4 * pose + 2] = (float)logdet;

@@ -98,16 +98,18 @@ static void tell_values(const Scene s, const Room r, const int lit, __global con
             : bright * (float)r.value[lit + 1] - s.hidden * (float)r.value[lit + 2];
 }
 
-// Evidence, chi2 of the body, log det, squared deviation: a group a pose.
-__kernel GROUPS void finish(ASKED, __global float *out)
+// Evidence, chi2 of the body, log det, squared deviation: a group a pose. See log_density of evidence.cl.
+__kernel GROUPS void finish(ASKED, __global const uchar *marks, __global float *out)
 {
     __local double8 sums[GROUP];
     SCENE
     __global const float *residuals = picture_in(s, r, RESIDUAL);
-    float lost = 0.0f, misfit = 0.0f, on = 0.0f;
+    float lost = 0.0f, misfit = 0.0f, on = 0.0f, told = 0.0f;
     FOR_OWN(k, s.pixels) {
-        lost += 0.5f * log(r.variance[k]) + loss_of(residuals[k], r.variance[k]);
-        if (r.light[k] * r.light[k] > s.sigma2 / s.area) {
+        const bool known = !(marks[k] & 1);
+        lost += (known ? 0.5f * log(r.variance[k]) : 0.0f) + loss_of(residuals[k], r.variance[k]);
+        told += known ? 1.0f : 0.0f;
+        if (known && r.light[k] * r.light[k] > s.sigma2 / s.area) {
             misfit += residuals[k] * residuals[k] / r.variance[k];
             on += 1.0f;
         }
@@ -118,12 +120,12 @@ __kernel GROUPS void finish(ASKED, __global float *out)
         logs += r.logs[i];
     }
     const double8 all
-        = sum_of_all(sums, (double8)((double)lost, (double)misfit, (double)on, squares, logs, 0.0, 0.0, 0.0));
+        = sum_of_all(sums, (double8)((double)lost, (double)misfit, (double)on, squares, logs, (double)told, 0.0, 0.0));
     if (ITEM == 0) {
         const double density = lgamma(0.5 * (NU + 1.0)) - lgamma(0.5 * NU) - 0.5 * log(NU * M_PI);
         float gained = 0.0f;
         for (int piece = 0; piece < s.stars; ++piece) gained += r.gained[piece];
-        const double value = (density * s.pixels - all.s0) / s.area + gained - 0.5 * all.s3 - 0.5 * all.s4;
+        const double value = (density * all.s5 - all.s0) / s.area + gained - 0.5 * all.s3 - 0.5 * all.s4;
         __global float *to = out + 4 * (size_t)s.pose;
         to[0] = r.told[SOUND] ? (float)value : -INFINITY;
         to[1] = all.s2 > 0.0 ? (float)(all.s1 / all.s2) : 0.0f;

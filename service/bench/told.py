@@ -10,6 +10,7 @@ from service.bench.altered import altered
 from service.bench.brightness import counts, pixels
 from service.bench.canvas import on_canvas
 from service.bench.cases import Case
+from service.bench.cut import cut_off
 from service.inference.params import SessionConfig
 from service.inference.pose import exp_so3, rotation_matrices
 from service.inference.state import Array
@@ -29,6 +30,7 @@ class Told:
     stretch: float | None = None  # the frames' counts are the light to this power, and that is told
     mesh_error: bool = True
     canvas: int | None = None  # the frames lie in the midst of an image of this side, px
+    cut: float | None = None  # share of the body that lies beyond the image's lower edge
     altered: str | None = None  # one of ``altered.ALTERATIONS``: what a program did to the frames, and nobody tells
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
@@ -46,9 +48,13 @@ class Told:
         return config
 
     def shown(self, case: Case) -> Case:
-        """The case as a camera would show it that sees more of the sky, or stretches light, and a program leave it."""
+        """The case as a camera would show it that sees more of the sky or less of the body, or stretches light, and as
+        a program would leave it.
+        """
         if self.canvas is not None:
             case = on_canvas(case, self.canvas)
+        if self.cut is not None:
+            case = cut_off(case, self.cut)
         if self.stretch is not None:
             case = _stretched(case, self.stretch)
         return case if self.altered is None else altered(case, self.altered)

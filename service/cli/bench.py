@@ -85,6 +85,9 @@ def track(
     canvas: Annotated[
         int | None, typer.Option(min=64, max=8192, help="Frames in the midst of so many px of their sky, a side.")
     ] = None,
+    cut: Annotated[
+        float | None, typer.Option(min=0, max=0.5, help="Frames that end above such a share of the body.")
+    ] = None,
     untied: Annotated[
         float | None, typer.Option(help="All joints move on their own, each known within so many degrees.")
     ] = None,
@@ -95,7 +98,7 @@ def track(
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    told = Told(not nosun, sun_off, known_range, not own_sky, stretch, not exact_mesh, canvas, altered)
+    told = Told(not nosun, sun_off, known_range, not own_sky, stretch, not exact_mesh, canvas, cut, altered)
     terms = Terms(limit, settled, told)
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())

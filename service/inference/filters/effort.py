@@ -73,10 +73,11 @@ def part_due(before: Mixture | None, most_parts: int = _MOST_PARTS, mesh_error: 
 
 
 def searched_nats(before: Mixture | None, searched: bool, updated: Updated) -> float:
-    """Log evidence of the best mode against the empty sky, the mean of the frames that were searched."""
+    """Log evidence of the best mode against the empty sky, as searches see it, the mean of the frames searched."""
+    nats = existence.nats_of_search(updated.nats, updated.hidden)
     if before is None:
-        return updated.nats
+        return nats
     if not searched or updated.existence[existence.ABSENT] >= 0.5:
         return before.searched_nats
     known = before.searches + before.misses
-    return (known * before.searched_nats + updated.nats) / (known + 1)
+    return (known * before.searched_nats + nats) / (known + 1)

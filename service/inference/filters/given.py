@@ -81,5 +81,6 @@ class Updated:
     log_chi2: Array  # (2,)
     log_light: float
     nats: float  # log evidence of this body against the empty sky
+    hidden: float  # share of its light that lies where nothing is known
     n_followed: int  # K
     disturbed: float  # probability that something has come between, were the last answer right

@@ -97,6 +97,7 @@ def weigh(
         log_chi2=existence.usual_chi2(log_chi2_before(before), best.one.fit.chi2, fits),
         log_light=existence.usual_light(None if before is None else before.log_light, light, fits),
         nats=explained - absent,
+        hidden=existence.hidden_share(hill, best.one.fit),
         n_followed=len(refined),
         disturbed=0.0 if ahead is None else come_between(modes, best, hill, other, ahead, before),
     )

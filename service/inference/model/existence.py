@@ -47,7 +47,7 @@ def log_unlike_of(hill: Hill, fit: Fit) -> float:
     white = (scene.sigma**2 + scene.photon * np.maximum(fit.light, 0)) / scene.area
     edges = (scene.grain * prior.EDGE_PX) ** 2 * (dx**2 + dy**2)
     variance = np.asarray(white + scene.alike * scene.discrepancy**2 * (fit.light**2 + edges), np.float32)
-    return float(np.sum(t_log_density(fit.residual, variance), dtype=np.float64)) / scene.area
+    return float(np.sum(t_log_density(fit.residual, variance, scene.full), dtype=np.float64)) / scene.area
 
 
 def log_light(hill: Hill, fit: Fit) -> float:
@@ -107,9 +107,29 @@ def missed(searches: int, misses: int = 0, *, nats: float) -> float:
     best mode against the empty sky in the frames that were searched, their mean: where it is little, much else explains
     such a frame as well.
     """
-    share = 1 / (1 + (prior.SEARCH_HALF / max(nats, 1.0)) ** 2)
+    share = _met(nats)
     a, b = (max(prior.SEARCH_WEIGHT * part, 1e-3) for part in (share, 1 - share))  # a Beta law has no ends at zero
     return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
+
+
+def _met(nats: float) -> float:
+    """Share of searches that meet the truth, from body to body in the mean."""
+    return 1 / (1 + (prior.SEARCH_HALF / max(nats, 1.0)) ** 2)
+
+
+def nats_of_search(nats: float, hidden: float) -> float:
+    """Nats of a whole body that searches meet as often as one of which a share of the light is ``hidden``."""
+    if hidden == 0:
+        return nats
+    share = (1 - prior.HIDDEN_MISSED * hidden) * _met(nats)
+    return prior.SEARCH_HALF * float(np.sqrt(share / (1 - share)))
+
+
+def hidden_share(hill: Hill, fit: Fit) -> float:
+    """Of a body's light, what lies where nothing is known: beyond the frame's edge, as a rule."""
+    scene, whole = hill.scene, float(np.sum(fit.light))
+    unknown = scene.full & (scene.data <= scene.sigma)  # a pixel that is full is bright
+    return float(np.clip(np.sum(fit.light[unknown]) / whole, 0.0, 1.0)) if whole > 0 and unknown.any() else 0.0
 
 
 def of_this_body(discrepancy: float, mesh_error: float = 0.0) -> float:
@@ -134,6 +154,6 @@ def goodness(hill: Hill, fit: Fit) -> Goodness:
     seen = np.abs(scene.data) > 2 * noise
     light = float(np.sum(np.abs(scene.data[seen])))
     left = float(np.sum(np.abs(fit.residual[seen])))
-    body = fit.light > noise
+    body = (fit.light > noise) & ~scene.full
     dark = float(np.mean(~seen[body])) if body.any() else 0.0
     return Goodness(fit.chi2, float(np.clip(1 - left / light, 0.0, 1.0)) if light > 0 else 0.0, dark)

@@ -52,11 +52,14 @@ class Fit:
     row: Any = None  # as a device tells it: ``gpu.evidence.Row``
 
 
-def t_log_density(residual: Images, variance: Images) -> Images:
-    """Student t with 4 degrees of freedom and scale squared ``variance``."""
-    return np.asarray(
-        _T_CONSTANT - 0.5 * np.log(variance) - 0.5 * (_NU + 1) * np.log1p(residual**2 / (_NU * variance)), np.float32
-    )
+def t_log_density(residual: Images, variance: Images, full: NDArray[np.bool_] | None = None) -> Images:
+    """Student t with 4 degrees of freedom and scale squared ``variance``.
+
+    ``full``: pixels of which only a least value is known. All that is more is as likely: theirs is t over its height.
+    """
+    height = _T_CONSTANT - 0.5 * np.log(variance)
+    height = height if full is None else np.where(full, 0.0, height)
+    return np.asarray(height - 0.5 * (_NU + 1) * np.log1p(residual**2 / (_NU * variance)), np.float32)
 
 
 def _weigh_stars(terms: Terms, residual: Images, variance: Images, weight: Images) -> float:
@@ -206,9 +209,10 @@ class _Unknowns:
         normal, pull = self._system(columns, residual, weight)
         deviation, root = self.value - self._mean, np.sqrt(self._precision)
         logdet = float(np.linalg.slogdet(normal / np.outer(root, root) + np.eye(len(root)))[1])
-        evidence = float(np.sum(t_log_density(residual, variance), dtype=np.float64)) / terms.area + self.gained
+        density = float(np.sum(t_log_density(residual, variance, terms.full), dtype=np.float64))
+        evidence = density / terms.area + self.gained
         evidence -= 0.5 * float(np.sum(self._precision * deviation**2)) + 0.5 * logdet
-        body = light**2 > terms.noise / terms.area
+        body = (light**2 > terms.noise / terms.area) & ~terms.full
         chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0
         nothing, unlit = np.empty(0, np.float32), np.empty(0, np.intp)
         maps = nothing, residual, weight, model, light, (slice(0, len(residual)),) * 2, columns

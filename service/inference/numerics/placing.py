@@ -96,7 +96,7 @@ def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: flo
         variance = (terms.noise + terms.photon * np.maximum(light, 0)) / terms.area
         variance = variance + np.float32(terms.wrong + unsure) * light**2
         off, aside = away + move, bright - mean
-        score = float(np.sum(t_log_density(residual, variance))) / terms.area
+        score = float(np.sum(t_log_density(residual, variance, full))) / terms.area
         score -= 0.5 * float(off @ precision @ off + precise @ aside**2)
         if score <= highest:
             break

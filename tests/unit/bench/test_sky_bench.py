@@ -1,4 +1,4 @@
-"""What ``skypose bench sky`` measures, and passes on a larger canvas."""
+"""What ``skypose bench sky`` measures, and passes on a larger canvas or cut off at an edge."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from service.bench.brightness import pixels
 from service.bench.canvas import framed, on_canvas
+from service.bench.cut import cut_off
 from service.bench.folder import SequenceError
 from service.bench.sky_bench import bench_sky, sky_document, sky_table
 from service.simulate.folder import encode_png
@@ -46,3 +47,25 @@ def test_a_pass_moves_with_its_frames(case_of, satellite, truth):
     assert [pixels(one).shape for one in wide.backgrounds()] == [(400, 400)]
     with pytest.raises(SequenceError, match="larger than a canvas of 8 px"):
         on_canvas(case, 8)
+
+
+def test_a_pass_of_which_the_edge_cuts_the_body(case_of, satellite, truth):
+    """Images end where a share of its diameter lies below them; no truth is moved by that."""
+    image = np.random.default_rng(0).integers(0, 99, (200, 64), np.uint8)
+    at = replace(truth, position=np.array([30.0, 100.0]), scale=20.0 / satellite.mesh.radius)
+    case = replace(
+        case_of(satellite),
+        size=(64, 200),
+        backgrounds=lambda: [encode_png(image)],
+        frames=lambda: iter([(image_of, at)]),
+    )
+    image_of = encode_png(image)
+    for share, rows in ((0.5, 100), (0.25, 110), (0.0, 120)):
+        cut = cut_off(case, share)
+        body, told = next(cut.frames())
+        assert cut.size == (64, rows) and told is at
+        np.testing.assert_array_equal(pixels(body), image[:rows])
+        assert [pixels(one).shape for one in cut.backgrounds()] == [(rows, 64)]
+    above = replace(at, position=np.array([30.0, -100.0]))
+    with pytest.raises(SequenceError, match="nothing of the image"):
+        cut_off(replace(case, frames=lambda: iter([(image_of, above)])), 0.1)
