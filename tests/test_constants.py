@@ -22,14 +22,20 @@ def numbers_in(tree: ast.AST) -> set[float]:
     }
 
 
-def held_numbers(source: str) -> Iterator[tuple[int, int, str]]:
-    """First and last line, and names, of assignments of a module or class body that hold numbers."""
+def holding(source: str) -> Iterator[ast.Assign | ast.AnnAssign]:
+    """Assignments of a module body that hold numbers."""
     for node in ast.parse(source).body:
         if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
             continue
         counts = isinstance(node.value, ast.Call) and getattr(node.value.func, "id", "") == "range"  # an enumeration
         if numbers_in(node.value) and not counts:
-            yield node.lineno, node.end_lineno or node.lineno, ast.unparse(getattr(node, "targets", [None])[0] or node)
+            yield node
+
+
+def held_numbers(source: str) -> Iterator[tuple[int, int, str]]:
+    """First and last line, and names, of each."""
+    for node in holding(source):
+        yield node.lineno, node.end_lineno or node.lineno, ast.unparse(getattr(node, "targets", [None])[0] or node)
 
 
 def kind_told(lines: list[str], first: int, last: int) -> str | None:
@@ -85,12 +91,11 @@ def test_every_prior_has_a_reason_or_a_unit_and_stands_in_the_model():
 def named(path: Path, kind: str | None) -> Iterator[str]:
     """What section 8 of the model says of each: names, then their values."""
     source = path.read_text()
-    for node in ast.parse(source).body:
-        if not isinstance(node, ast.Assign) or not numbers_in(node.value):
-            continue
+    for node in holding(source):
         if kind is None or kind_told(source.splitlines(), node.lineno, node.end_lineno or node.lineno) == kind:
-            names = ", ".join(f"`{name}`" for name in re.findall(r"\w+", ast.unparse(node.targets[0])))
-            values = re.findall(r"\d[\d.]*(?: / \d[\d.]*)?", ast.unparse(node.value))
+            target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0]
+            names = ", ".join(f"`{name}`" for name in re.findall(r"\w+", ast.unparse(target)))
+            values = re.findall(r"\d[\d.]*(?: / \d[\d.]*)?", ast.unparse(node.value or node))
             yield f"{names} {', '.join(re.sub(r'[.]0$', '', one).replace(' ', '') for one in values)}"
 
 

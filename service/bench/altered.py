@@ -17,6 +17,7 @@ from service.bench.brightness import counts, pixels
 from service.bench.cases import Case, TruthFrame
 from service.bench.folder import SequenceError
 from service.imaging.decode import Pixels
+from service.imaging.own_sky import OF_A_NORMAL
 from service.simulate.folder import encode_png
 
 _JPEG_QUALITY = 30
@@ -91,7 +92,7 @@ def _sharpened(images: Sequence[Pixels]) -> list[Pixels]:
 def _black(images: Sequence[Pixels]) -> list[Pixels]:
     sky = images[0].astype(np.float32)
     level = np.median(sky, axis=(0, 1))
-    black = np.rint(level + _BLACK * 1.4826 * np.median(np.abs(sky - level), axis=(0, 1)))
+    black = np.rint(level + _BLACK * OF_A_NORMAL * np.median(np.abs(sky - level), axis=(0, 1)))
     return [counts(image - black, image) for image in images]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from service.bench.brightness import counts, pixels
 from service.bench.cases import Case, TruthFrame
 from service.bench.folder import SequenceError
+from service.imaging.own_sky import OF_A_NORMAL
 from service.simulate.folder import encode_png
 
 _RING_PX = 8  # of the image's own border, which tells the level and the noise of the sky about it
@@ -47,7 +48,7 @@ def framed(body: bytes, side: int, seed: tuple[int, int]) -> bytes:
     ring = np.ones((height, width), bool)
     ring[_RING_PX:-_RING_PX, _RING_PX:-_RING_PX] = False
     level = np.median(image[ring], axis=0)
-    sigma = 1.4826 * np.median(np.abs(image[ring] - level), axis=0)
+    sigma = OF_A_NORMAL * np.median(np.abs(image[ring] - level), axis=0)
     rng = np.random.default_rng(seed)
     whole = counts(level + sigma * rng.standard_normal((side, side, *image.shape[2:]), np.float32), image)
     top, left = (side - height) // 2, (side - width) // 2

@@ -127,9 +127,12 @@ def nats_of_search(nats: float, hidden: float) -> float:
 
 def hidden_share(hill: Hill, fit: Fit) -> float:
     """Of a body's light, what lies where nothing is known: beyond the frame's edge, as a rule."""
-    scene, whole = hill.scene, float(np.sum(fit.light))
+    scene = hill.scene
     unknown = scene.full & (scene.data <= scene.sigma)  # a pixel that is full is bright
-    return float(np.clip(np.sum(fit.light[unknown]) / whole, 0.0, 1.0)) if whole > 0 and unknown.any() else 0.0
+    if not unknown.any():
+        return 0.0
+    whole = float(np.sum(fit.light))
+    return float(np.clip(np.sum(fit.light[unknown]) / whole, 0.0, 1.0)) if whole > 0 else 0.0
 
 
 def of_this_body(discrepancy: float, mesh_error: float = 0.0) -> float:
