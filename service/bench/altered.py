@@ -24,6 +24,8 @@ _JPEG_QUALITY = 30
 _DENOISED = 10.0  # strength of the non-local means: noise of three counts is gone
 _SHARPENED, _SHARPENED_PX = 1.5, 2.0  # unsharp mask: how much, and of what is finer than this
 _BLACK = 2.0  # black point: so many of its noise above the sky
+_FULL, _LIT = 0.5, 6.0  # share of what is lit, so many of its noise above the sky, at which a sensor is full
+_POWER = 0.45  # of light, as videos have it
 _STEP = 4  # counts of eight bits, 16 times as many of sixteen
 _BARS, _SHAKEN = 0.15, 0.05  # of the height, of the shorter side: black bars, and how far a window moves
 _CODEC, _PER_S = "mp4v", 25.0
@@ -96,6 +98,23 @@ def _black(images: Sequence[Pixels]) -> list[Pixels]:
     return [counts(image - black, image) for image in images]
 
 
+def _full(images: Sequence[Pixels]) -> list[Pixels]:
+    """The sensor is full below what the file could hold, as one of twelve bits in a file of sixteen."""
+    sky, *seen = (image.astype(np.float32) for image in images)
+    level = np.median(sky, axis=(0, 1))
+    least = level + _LIT * np.maximum(OF_A_NORMAL * np.median(np.abs(sky - level), axis=(0, 1)), 1.0)
+    shown = np.stack(seen)
+    if not (shown > least).any():
+        return list(images)
+    most = np.nanquantile(np.where(shown > least, shown, np.nan), 1 - _FULL, axis=(0, 1, 2)).astype(np.float32)
+    return [counts(np.minimum(image, most), image) for image in images]
+
+
+def _gamma(images: Sequence[Pixels]) -> list[Pixels]:
+    tops = [np.iinfo(image.dtype).max for image in images]
+    return [counts((image / top) ** _POWER * top, image) for image, top in zip(images, tops, strict=True)]
+
+
 def _steps(images: Sequence[Pixels]) -> list[Pixels]:
     step = [_STEP if image.dtype == np.uint8 else 16 * _STEP for image in images]
     return [counts(one * np.rint(image / one), image) for one, image in zip(step, images, strict=True)]
@@ -140,6 +159,8 @@ ALTERATIONS: dict[str, Callable[[Sequence[Pixels]], list[Pixels]]] = {
     "denoised": _denoised,
     "sharpened": _sharpened,
     "black": _black,
+    "full": _full,
+    "gamma": _gamma,
     "steps": _steps,
     "bars": _bars,
     "stabilised": _stabilised,

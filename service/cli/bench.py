@@ -38,7 +38,9 @@ Frames = Annotated[int | None, typer.Option(min=1, help="Of each simulated pass;
 Materials = Annotated[str | None, typer.Option(help="Of simulated passes: painted, or mixed as real ones are.")]
 Root = Annotated[Path | None, typer.Option("--meshes", help="Where the sequences' meshes lie, if not beside them.")]
 Settled = Annotated[int, typer.Option("--from", min=0, help="Visible frames that count for acquisition only.")]
-Alteration = Literal["jpeg", "video", "denoised", "sharpened", "black", "steps", "bars", "stabilised", "clock"]
+Alteration = Literal[
+    "jpeg", "video", "denoised", "sharpened", "black", "full", "gamma", "steps", "bars", "stabilised", "clock"
+]
 Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE for all sessions; may be repeated.")]
 
 bench.command()(scorers)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from service.imaging.full import upper_end
 from service.imaging.margins import either, margins_under
 from service.imaging.own_sky import fitted
 from service.imaging.sky import Sky
@@ -38,11 +39,12 @@ class Light:
     sigma: float  # noise of one pixel of empty sky, counts
     photon: float  # variance per count of light, counts
     sky: float  # counts of the empty sky, with what the sensor adds to it
-    censored: NDArray[np.bool_]  # at the sensor's upper end, or hidden: at least so much
+    full: NDArray[np.bool_]  # at the sensor's upper end: at least so much
     origin: tuple[int, int] = (0, 0)  # its first pixel in the frame, where it is part of one
     stars: NDArray[np.uint8] | None = None
     """Numbers of its pieces that may be stars, 0 elsewhere; ``OWN`` more of those that the object has, if it is there.
     """
+    unseen: NDArray[np.bool_] | None = None  # where nothing is known: under a clock, in a black bar; None: nowhere
 
     def covers(self, square: Square) -> bool:
         """Whether a square lies within it."""
@@ -68,7 +70,8 @@ class Patch:
     sigma: float  # noise of one patch pixel
     photon: float
     sky: float  # counts of a frame pixel
-    censored: NDArray[np.bool_]  # (S, S)
+    full: Map  # (S, S) share of it that is at the sensor's upper end
+    unseen: NDArray[np.bool_]  # (S, S) where nothing is known
     stars: NDArray[np.uint8]  # (S, S) numbers of pieces of light that may be stars, 0 elsewhere
     stars_alone: NDArray[np.uint8] | None  # (S, S) the same where the object is absent; None: no more
     origin: tuple[float, float]  # of its first corner, frame px
@@ -94,16 +97,16 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     sigma = float(np.sqrt(weight @ sky.covariance @ weight))
     above = _weighed(data - mean, share)
     unseen = either(sky.unsure, margins_under(whole, sky.mean, sky.sigma))
-    seen = None if unseen is None else ~unseen[rows, columns]
-    above -= _own_level(above, sigma, seen)
-    censored = data.max(axis=2) >= (1 << bits) - 1
-    if seen is not None:
-        above[~seen] = 0.0
-        censored |= ~seen
-    photon = _photon_transfer(above, sigma)
+    unseen = None if unseen is None else unseen[rows, columns]
+    above -= _own_level(above, sigma, None if unseen is None else ~unseen)
+    if unseen is not None:
+        above[unseen] = 0.0
+        data = np.where(unseen[..., None], mean, data)
+    full = np.any(data >= upper_end(data, mean, sky.sigma, sky.step, (1 << bits) - 1), axis=2)
+    photon = _photon_transfer(above, sigma, full)
     every = _thinned(above.size)
     level = max(float(np.median(_weighed(mean[::every, ::every], share))), 0.0)
-    return Light(above, sigma, photon, level, censored, (columns.start, rows.start))
+    return Light(above, sigma, photon, level, full, (columns.start, rows.start), unseen=unseen)
 
 
 def _weighed(channels: Map, share: Map) -> Map:
@@ -151,15 +154,17 @@ def _plane_of(shape: tuple[int, ...], every: int) -> tuple[Map, Map, Map, NDArra
     return across, down, np.stack([np.ones_like(x), x, y]), edge
 
 
-def _photon_transfer(above: Map, sigma: float) -> float:
+def _photon_transfer(above: Map, sigma: float, full: NDArray[np.bool_]) -> float:
     """Variance per count of light, from the finest checkerboard, to which the point spread lets little through.
 
-    Edges leak into it, so its lower quartile is believed (0.1015 of a Gaussian's variance). Where the frame has too
-    little light to tell, a thousandth of the sky's own noise.
+    Edges leak into it, so its lower quartile is believed (0.1015 of a Gaussian's variance); ``full`` pixels have none.
+    Where the frame has too little light to tell, a thousandth of the sky's own noise.
     """
     fine = cv2.filter2D(above, cv2.CV_32F, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6.0)
     local = cv2.GaussianBlur(above, (0, 0), _LOCAL_PX)
     bright = local > _BRIGHT_SIGMAS * sigma
+    if full.any():
+        bright &= cv2.dilate(full.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
     least = _LEAST_PHOTON * sigma
     if np.count_nonzero(bright) < _LEAST_BRIGHT_PX:
         return least
@@ -194,8 +199,8 @@ def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float
     columns, rows = (square.first[k] - light.origin[k] + np.arange(square.across) for k in (0, 1))
     inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
     index = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
-    image = np.where(inside, light.image[index], 0.0).astype(np.float32)
-    censored = (light.censored[index] | ~inside).astype(np.float32)
+    image, full = (np.where(inside, one[index], 0).astype(np.float32) for one in (light.image, light.full))
+    unseen = ~inside if light.unseen is None else light.unseen[index] | ~inside
     marked = np.zeros((1, 1), np.uint8) if light.stars is None else np.where(inside, light.stars[index], 0)
     stars = np.asarray(cv2.resize(np.asarray(marked, np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8)
     return Patch(
@@ -203,7 +208,8 @@ def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float
         sigma=light.sigma / binning,
         photon=light.photon / binning**2,
         sky=light.sky,
-        censored=cv2.resize(censored, size, interpolation=cv2.INTER_AREA) > 0,
+        full=np.asarray(cv2.resize(full, size, interpolation=cv2.INTER_AREA), np.float32),
+        unseen=cv2.resize(unseen.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0,
         stars=np.where(stars < OWN, stars, np.uint8(0)),
         stars_alone=stars % np.uint8(OWN) if stars.max() > OWN else None,
         origin=(float(square.first[0]), float(square.first[1])),

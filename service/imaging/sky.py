@@ -51,6 +51,7 @@ class Sky:
     spec: FeatureSpec
     clutter: Box | None = None  # in which the body was told to lie, where there is more than sky about it
     unsure: NDArray[np.bool_] | None = None  # (H, W) where a clock changes, or nothing was shown; None: nowhere
+    step: int = 1  # by which counts go: 16 where a camera of 12 bits fills 16
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -98,6 +99,7 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
         spec,
         cluttered_box(background.frames[-1], known),
         either(_unsure(frames, middle, smooth, noise), never if never.any() else None),
+        step,
     )
 
 

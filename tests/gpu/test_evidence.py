@@ -79,7 +79,7 @@ def scene_of(
         sigma=5.0,
         photon=0.5,
         sky=40.0,
-        censored=image >= most,
+        full=image >= most,
         point_spread=point_spread,
         discrepancy=0.04,  # a smaller one would feel the wings that the kernel cuts off
         shifts=shifts,
@@ -218,7 +218,7 @@ def test_pixels_of_which_only_a_least_value_is_known(light, full):
     rng = np.random.default_rng(8)
     planes = wedges(rng, 32, 3, 3)
     scene = scene_of(rng, planes, 3, SHARP, True)
-    terms = terms_of(replace(scene, censored=np.full((32, 32), full)), 3, 10)
+    terms = terms_of(replace(scene, full=np.full((32, 32), full)), 3, 10)
     agrees(light.evidence(planes[None], 3, terms, ROUNDS), 0, fit_light(planes, 3, terms))
 
 

@@ -47,7 +47,7 @@ def log_unlike_of(hill: Hill, fit: Fit) -> float:
     white = (scene.sigma**2 + scene.photon * np.maximum(fit.light, 0)) / scene.area
     edges = (scene.grain * prior.EDGE_PX) ** 2 * (dx**2 + dy**2)
     variance = np.asarray(white + scene.alike * scene.discrepancy**2 * (fit.light**2 + edges), np.float32)
-    return float(np.sum(t_log_density(fit.residual, variance, scene.full), dtype=np.float64)) / scene.area
+    return float(np.sum(t_log_density(fit.residual, variance, scene.censored), dtype=np.float64)) / scene.area
 
 
 def log_light(hill: Hill, fit: Fit) -> float:
@@ -127,8 +127,7 @@ def nats_of_search(nats: float, hidden: float) -> float:
 
 def hidden_share(hill: Hill, fit: Fit) -> float:
     """Of a body's light, what lies where nothing is known: beyond the frame's edge, as a rule."""
-    scene = hill.scene
-    unknown = scene.full & (scene.data <= scene.sigma)  # a pixel that is full is bright
+    unknown = hill.scene.unknown
     if not unknown.any():
         return 0.0
     whole = float(np.sum(fit.light))
@@ -157,6 +156,6 @@ def goodness(hill: Hill, fit: Fit) -> Goodness:
     seen = np.abs(scene.data) > 2 * noise
     light = float(np.sum(np.abs(scene.data[seen])))
     left = float(np.sum(np.abs(fit.residual[seen])))
-    body = (fit.light > noise) & ~scene.full
+    body = (fit.light > noise) & ~scene.censored
     dark = float(np.mean(~seen[body])) if body.any() else 0.0
     return Goodness(fit.chi2, float(np.clip(1 - left / light, 0.0, 1.0)) if light > 0 else 0.0, dark)

@@ -15,7 +15,10 @@ from service.inference.model.spread import PointSpread, spread
 Images = NDArray[np.float32]
 _BUMPS, _BUMP_WIDTH = (0.25, 0.5, 0.75), 0.2  # prior: of a patch's side: where the air shifts the image alike
 _BRIGHTER = 0.99  # numerical: quantile of a frame's light from which its gain is guessed, 3 sigma at the least
-_FULL_SHARE = 0.05  # numerical: of a pixel's light that comes from censored ones: it is censored too
+_UNSEEN_SHARE = (
+    0.05  # numerical: of a pixel's light that comes from where nothing is known: then nothing is known of it
+)
+_FULL_SHARE = 0.5  # numerical: of a pixel that is full: then it is
 # numerical: a frequency's noise, in standard deviations, and its transfer's deviations (h), a factor, that are allowed
 _NOISE_SIGMAS, _DEVIATION = 4.0, 2.0
 
@@ -28,7 +31,7 @@ class Scene:
     sigma: float  # noise of one pixel of empty sky, counts
     photon: float  # variance per count
     sky: float  # counts of the empty sky, with what the sensor adds to it
-    censored: NDArray[np.bool_]  # (S, S)
+    full: NDArray[np.floating | np.bool_]  # (S, S) share of a pixel that is at the sensor's upper end
     point_spread: PointSpread
     discrepancy: float = prior.DISCREPANCY  # tau
     shifts: bool = True  # whether speckle and image shifts are unknowns: not worth their time in a coarse look
@@ -37,6 +40,7 @@ class Scene:
     light: prior.LightPrior = field(default_factory=prior.LightPrior)
     starry: NDArray[np.uint8] | None = None  # (S, S) numbers of light that may be a star's, 0 elsewhere
     starry_alone: NDArray[np.uint8] | None = None  # (S, S) the same where the object is absent; None: no more
+    unseen: NDArray[np.bool_] | None = None  # (S, S) where nothing is known; None: nowhere
     hides: float | None = None  # counts of the sky's light that the body hides; None: as likely as its prior has it
     seen_photon: float | None = None  # variance per count, as the frame's finest checkerboard has it
 
@@ -77,10 +81,18 @@ class Scene:
         return min(counts / self.hidden, 1.0) if self.hidden > 0 else 0.0
 
     @cached_property
-    def full(self) -> NDArray[np.bool_]:
-        """(S, S) pixels of which only a least value is known."""
-        share = spread(self.censored.astype(np.float32)[None], PointSpread(0.0), self.smoothing)[0]
-        return np.asarray(share > _FULL_SHARE)
+    def unknown(self) -> NDArray[np.bool_]:
+        """(S, S) pixels of which nothing is known after the low pass."""
+        return np.zeros(self.image.shape, bool) if self.unseen is None else self._of(self.unseen)
+
+    @cached_property
+    def censored(self) -> NDArray[np.bool_]:
+        """(S, S) pixels of which only a least value is known.
+
+        What full ones lack is lacking around them after the low pass, too. But were all that is known of these a least
+        value, a bright body's rim could go outwards at no cost.
+        """
+        return np.asarray(self.unknown | (self.full >= _FULL_SHARE))
 
     @cached_property
     def stars(self) -> NDArray[np.uint8]:
@@ -95,9 +107,14 @@ class Scene:
     def _passed(self, starry: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
         out = np.zeros(self.image.shape, np.uint8)
         for number in [] if starry is None else np.unique(starry[starry > 0])[::-1]:
-            alone = (starry == number).astype(np.float32)
-            out[spread(alone[None], PointSpread(0.0), self.smoothing)[0] > _FULL_SHARE] = number
+            out[self._of(starry == number)] = number
         return out
+
+    def _of(self, some: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(S, S) to which some pixels bring light with the low pass."""
+        if not some.any():
+            return some
+        return np.asarray(spread(some.astype(np.float32)[None], PointSpread(0.0), self.smoothing)[0] > _UNSEEN_SHARE)
 
     @cached_property
     def gain(self) -> float:
@@ -145,7 +162,7 @@ class Scene:
             hides=self.hides if hides is None else hides,
             low_pass=self.smoothing,
         )
-        for name in ("data", "area", "full", "stars", "gain"):  # of the frame and its low pass alone
+        for name in ("data", "area", "unknown", "censored", "stars", "gain"):  # of the frame and its low pass alone
             other.__dict__[name] = getattr(self, name)
         return other
 

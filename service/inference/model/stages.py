@@ -42,8 +42,13 @@ class PatchLike(Protocol):
         ...
 
     @property
-    def censored(self) -> NDArray[np.bool_]:
-        """(S, S) pixels of which only a least value is known."""
+    def full(self) -> NDArray[np.float32]:
+        """(S, S) share of a pixel that is at the sensor's upper end."""
+        ...
+
+    @property
+    def unseen(self) -> NDArray[np.bool_]:
+        """(S, S) pixels of which nothing is known."""
         ...
 
     @property
@@ -179,7 +184,7 @@ def stage_hill(
         patch.sigma,
         nuisance.photon_on(patch.binning) or prior.PHOTON_SHARE * patch.photon,
         patch.sky,
-        patch.censored,
+        patch.full,
         spread,
         max(nuisance.discrepancy, stage.off),
         speckle,
@@ -187,6 +192,7 @@ def stage_hill(
         grain=grain,
         starry=patch.stars,
         starry_alone=patch.stars_alone,
+        unseen=patch.unseen,
         hides=nuisance.hides,
         seen_photon=patch.photon,
     )

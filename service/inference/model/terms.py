@@ -82,7 +82,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
         mean=np.array(means + [0.0] * (len(sigmas) - len(means)), np.float32),
         precision=(1.0 / np.array(sigmas) ** 2).astype(np.float32),
         data=scene.data,
-        full=scene.full,
+        full=scene.censored,
         stars=scene.stars,
         slopes=sky_slopes(scene.side),
         bumps=shift_bumps(scene.side),

@@ -40,11 +40,12 @@ def test_a_pass_keeps_its_images_and_its_truth(case_of, satellite, truth, how, c
     changed = altered(case, how)
     (sky,), frames = list(changed.backgrounds()), list(changed.frames())
     assert [moment for _, moment in frames] == moments
-    for before, after in zip([empty, *seen], [sky, *(body for body, _ in frames)], strict=True):
+    for k, (before, after) in enumerate(zip([empty, *seen], [sky, *(body for body, _ in frames)], strict=True)):
         image = pixels(after)
         assert image.dtype == np.uint8 and image.shape == before.shape
         above, was = (one - np.median(one) for one in (image.astype(float), before))  # black or not
-        assert 0 < np.abs(above - was).mean() < 10
+        change = np.abs(above - was).mean()
+        assert change < 10 and (change > 0) == (k > 0 or how != "full")  # no sky is so bright
     assert list(changed.frames())[2][0] == frames[2][0]
 
 
@@ -67,6 +68,15 @@ def test_of_a_black_sky_little_is_left():
     for before, after in zip(images(), ALTERATIONS["black"](images()), strict=True):
         assert 0.9 < (after[70:90] == 0).mean() < 1
         assert after.max() == before.max() - before[:20].max() + after[:20].max()
+
+
+def test_a_sensor_is_full_where_half_of_what_is_lit_is():
+    given = images()
+    least = np.median(given[0]) + 6 * 1.5 * np.median(np.abs(given[0] - np.median(given[0])))
+    seen = np.stack(ALTERATIONS["full"](given)[1:])
+    assert 0.5 <= (seen == seen.max()).sum() / (seen > least).sum() < 0.7  # of as many a count
+    dark = [given[0]] * 3
+    assert all(one is other for one, other in zip(ALTERATIONS["full"](dark), dark, strict=True))
 
 
 @pytest.mark.parametrize(("dtype", "step"), [(np.uint8, 4), (np.uint16, 64)])

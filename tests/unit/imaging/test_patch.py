@@ -22,9 +22,8 @@ def sky(sigma, mean=100.0) -> Sky:
     return Sky(level, np.diag(sigma.astype(np.float64) ** 2), np.zeros(spec.n_bins), spec)
 
 
-def light(image: np.ndarray, sigma: float = 1.0, censored: np.ndarray | None = None) -> Light:
-    none = np.zeros(image.shape, bool)
-    return Light(image.astype(np.float32), sigma, 0.5, 10.0, none if censored is None else censored)
+def light(image: np.ndarray, sigma: float = 1.0, **more) -> Light:
+    return Light(image.astype(np.float32), sigma, 0.5, 10.0, **({"full": np.zeros(image.shape, bool)} | more))
 
 
 def noise(seed: int = 1, shape=SHAPE) -> np.ndarray:
@@ -43,7 +42,7 @@ def test_grey_light_is_what_is_above_the_sky():
     off = found.image - (image - 100.0)  # the frame's own level is known to the noise of all of its sky
     assert np.abs(off).max() < 0.5
     assert found.sigma == pytest.approx(5.0)
-    assert not found.censored.any()
+    assert not found.full.any() and found.unseen is None
     assert found.sky == pytest.approx(100.0, abs=1.0)
 
 
@@ -54,11 +53,11 @@ def test_where_the_sky_is_not_known_there_is_at_least_no_light():
     clock = with_box(12, 102, 50, 108, 900.0)
     image = np.round(100 + 5 * noise() + with_box(40, 30, 80, 60, 200.0) + clock).astype(np.uint16)
     found = light_of(image, replace(sky([5.0]), unsure=unsure), 16)
-    np.testing.assert_array_equal(found.censored, unsure)
+    np.testing.assert_array_equal(found.unseen, unsure)
     assert not found.image[unsure].any()
     assert len(pieces_of(found).boxes) == 1
     region = light_of(image, replace(sky([5.0]), unsure=unsure), 16, (slice(20, 120), slice(30, 90)))
-    np.testing.assert_array_equal(region.censored, unsure[20:120, 30:90])
+    np.testing.assert_array_equal(region.unseen, unsure[20:120, 30:90])
 
 
 def test_channels_are_weighed_by_their_precision():
@@ -98,7 +97,7 @@ def test_a_full_channel_censors_the_pixel(bits, dtype):
     image[20, 30, 1] = (1 << bits) - 1
     image[21, 30, 1] = (1 << bits) - 2
     found = light_of(image, sky([2.0, 2.0, 2.0]), bits)
-    assert np.argwhere(found.censored).tolist() == [[20, 30]]
+    assert np.argwhere(found.full).tolist() == [[20, 30]]
 
 
 @pytest.mark.parametrize("gain", [0.2, 1.0, 4.0])
@@ -229,7 +228,7 @@ def test_squares_of_pixels_are_their_means_and_their_noise_is_less():
     x, y = (int(v) for v in found.origin)
     block = image[y + 6 : y + 9, x + 9 : x + 12]
     assert found.image[2, 3] == pytest.approx(block.mean(), abs=1e-5)
-    inside = ~found.censored
+    inside = ~found.unseen
     assert np.std(found.image[inside]) == pytest.approx(found.sigma, rel=0.05)
     assert found.sigma == pytest.approx(1 / 3)
     assert found.photon == pytest.approx(0.5 / 9)
@@ -260,15 +259,28 @@ def test_outside_of_the_frame_nothing_is_known(centre):
     found = cut(light(image), centre, 30.0, 80.0)
     columns, rows = (found.origin[k] + np.arange(found.side) for k in (0, 1))
     inside = ((rows >= 0) & (rows < SHAPE[0]))[:, None] & ((columns >= 0) & (columns < SHAPE[1]))[None]
-    assert np.array_equal(found.censored, ~inside)
-    assert not found.image[~inside].any()
+    assert np.array_equal(found.unseen, ~inside)
+    assert not found.image[~inside].any() and not found.full.any()
 
 
-def test_a_square_with_one_censored_pixel_is_censored():
-    censored = np.zeros((400, 400), bool)
-    censored[205, 203] = True
-    found = cut(light(noise(shape=(400, 400)), censored=censored), (200.0, 200.0), 240.0, 80.0)
-    at = np.argwhere(found.censored)
+def test_full_pixels_say_nothing_of_the_noise_of_photons():
+    """They have none. The sensor's upper end is below the file's."""
+    bright = np.zeros(SHAPE)
+    bright[30:90, 40:120] = np.linspace(150.0, 500.0, 80)
+    image = 100 + bright + np.sqrt(4 + 2.0 * bright) * noise()
+    both = np.rint(image), np.minimum(np.rint(image), 450)
+    clean, full = (light_of(one[..., None], sky([2.0]), 16) for one in both)
+    assert full.full.sum() > 1500 and not clean.full.any()
+    assert full.full[50, 118] and not full.full[50, 41] and not full.full[10, 10]
+    assert full.photon == pytest.approx(clean.photon, rel=0.5)
+
+
+@pytest.mark.parametrize("of", ["full", "unseen"])
+def test_a_square_with_one_pixel_of_which_nothing_is_known_is_not_known_and_with_one_full_one_in_part(of):
+    one = np.zeros((400, 400), bool)
+    one[205, 203] = True
+    found = cut(light(noise(shape=(400, 400)), **{of: one}), (200.0, 200.0), 240.0, 80.0)
+    at = np.argwhere(getattr(found, of))
     assert len(at[(at > 5).all(axis=1) & (at < found.side - 5).all(axis=1)]) == 1
     row, column = (int((v - o) // 3) for v, o in zip((205, 203), found.origin[::-1], strict=True))
-    assert found.censored[row, column]
+    assert getattr(found, of)[row, column] == pytest.approx({"full": 1 / 9, "unseen": 1}[of])

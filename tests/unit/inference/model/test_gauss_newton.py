@@ -210,7 +210,7 @@ def test_saturated_pixels_say_at_least_this_and_do_not_move_the_pose(censored):
     top = 0.6 * float(clean.image.max())
     full = clean.image >= top
     mask = full if censored else np.zeros_like(full)
-    clipped = replace(clean, image=np.minimum(clean.image, top), censored=mask)
+    clipped = replace(clean, image=np.minimum(clean.image, top), full=mask)
     assert full.sum() > 60
     found = climbed(hill(clipped), pose(), steps=20)
     error = local(pose(), found.pose)[0]
@@ -221,7 +221,7 @@ def test_saturated_pixels_say_at_least_this_and_do_not_move_the_pose(censored):
 def test_the_light_of_a_saturated_frame_is_found_in_few_rounds():
     clean = frame()
     top = 0.6 * float(clean.image.max())
-    clipped = replace(clean, image=np.minimum(clean.image, top), censored=clean.image >= top)
+    clipped = replace(clean, image=np.minimum(clean.image, top), full=clean.image >= top)
     few, many = (_look(hill(clipped, rounds=rounds), pose(), SUN[None])[1] for rounds in (ROUNDS, 40))
     assert few == pytest.approx(many, abs=20.0)
 
@@ -231,7 +231,7 @@ def test_a_censored_pixel_may_be_brighter_but_not_darker():
     mask = given.image > 0.7 * given.image.max()
     for factor in (0.3, 1.0, 3.0):
         image = np.where(mask, factor * given.image, given.image).astype(np.float32)
-        fits, _ = _look(hill(replace(given, image=image, censored=mask)), pose(), SUN[None])
+        fits, _ = _look(hill(replace(given, image=image, full=mask)), pose(), SUN[None])
         inside = fits[0].residual[mask]
         assert (inside >= 0).all()
         assert (inside.mean() > 3 * SIGMA) == (factor > 1)
@@ -243,7 +243,7 @@ def test_in_squares_of_pixels_places_are_still_those_of_the_frame():
     given = frame()
     image = given.image.reshape(32, 2, 32, 2).mean(axis=(1, 3))
     core = replace(given.point_spread, core=0.65)
-    binned = replace(given, image=image, sigma=SIGMA / 2, censored=np.zeros(image.shape, bool), point_spread=core)
+    binned = replace(given, image=image, sigma=SIGMA / 2, full=np.zeros(image.shape, bool), point_spread=core)
     found = climbed(replace(hill(binned), view=view), start)
     error = local(pose(), found.pose)[0]
     assert np.rad2deg(np.linalg.norm(error[:3])) < 1.0

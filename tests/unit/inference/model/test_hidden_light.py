@@ -22,7 +22,7 @@ def cut_scene(discrepancy: float) -> Scene:
     unknown = np.zeros(image.shape, bool)
     unknown[EDGE:] = True
     given = scene(image, 4.0, low_pass=1.0, discrepancy=discrepancy)
-    return replace(given, image=np.where(unknown, 0.0, image).astype(np.float32), censored=unknown)
+    return replace(given, image=np.where(unknown, 0.0, image).astype(np.float32), unseen=unknown)
 
 
 @pytest.mark.parametrize("discrepancy", [0.005, 0.05, 0.3])
@@ -52,6 +52,19 @@ def test_of_a_least_value_more_is_as_likely_and_less_is_not():
     assert darker == pytest.approx(-2.5 * np.log1p(9 / 4))
 
 
+def test_around_a_full_pixel_light_is_data_and_around_an_unseen_one_it_is_not():
+    """Were all that is known around it a least value, a bright body could grow there at no cost."""
+    none = np.zeros((VIEW.side,) * 2, bool)
+    one = none.copy()
+    one[20, 30] = True
+    given = scene(none.astype(np.float32), 4.0, low_pass=1.0)
+    full, unseen = replace(given, full=one), replace(given, unseen=one)
+    np.testing.assert_array_equal(full.censored, one)
+    assert not full.unknown.any() and unseen.unknown.sum() == 9
+    np.testing.assert_array_equal(unseen.censored, unseen.unknown)
+    assert not replace(given, full=0.4 * one).censored.any()
+
+
 @pytest.mark.parametrize("nats", [50.0, 170.0, 5000.0])
 def test_searches_meet_a_body_the_less_the_more_of_it_is_hidden(nats):
     assert existence.nats_of_search(nats, 0.0) == nats
@@ -65,7 +78,7 @@ def test_the_hidden_share_of_a_bodys_light_is_that_beyond_the_edge():
     given, drawn = cut_scene(0.01), lit_body().planes(pose(), SUN, VIEW, QUALITY)
     hill = Hill(given, lit_body(), VIEW, PosePrior())
     fit = fit_light(drawn[0], 3, terms_of(given, 3, 10))
-    whole = fit_light(drawn[0], 3, terms_of(replace(given, censored=np.zeros_like(given.censored)), 3, 10))
+    whole = fit_light(drawn[0], 3, terms_of(replace(given, unseen=None), 3, 10))
     assert existence.hidden_share(hill, fit) == pytest.approx(fit.light[EDGE:].sum() / fit.light.sum(), abs=0.08)
-    bright = replace(given, censored=given.image > 0.8 * given.image.max())  # full, and seen
+    bright = replace(given, unseen=None, full=given.image > 0.8 * given.image.max())  # full, and seen
     assert existence.hidden_share(replace(hill, scene=bright), whole) == 0.0

@@ -97,5 +97,5 @@ def test_a_star_beside_it_does_not_draw_it_away():
 def test_pixels_that_are_full_hold_at_least_so_much():
     image = seen(pose(), shares(lit_body(), 700.0))
     full = image > np.quantile(image, 0.97)
-    out = found(frame(np.where(full, image.max() - image - 200.0, 0.0), censored=full), moved(OFF))
+    out = found(frame(np.where(full, image.max() - image - 200.0, 0.0), full=full), moved(OFF))
     np.testing.assert_allclose(out.position, pose().position, atol=0.3)

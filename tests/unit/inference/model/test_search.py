@@ -54,7 +54,7 @@ def test_a_pose_is_found_from_nothing(seed, scale_told):
 def test_a_large_body_is_found_on_squares_of_pixels_some_of_them_outside_of_the_frame():
     at = replace(truth(5, False, rim_px=82.0), position=np.array([[88.0, 88.0]]))
     found = search(body(False), sight_of(at, 176), bank(False), TOLD)
-    assert 1.2 < found.hill.view.binning < 2.0 and found.hill.scene.full.mean() > 0.3
+    assert 1.2 < found.hill.view.binning < 2.0 and found.hill.scene.unknown.mean() > 0.3
     assert off_deg(found.basins[0].pose, at) < 2.0
     assert np.abs(found.basins[0].pose.position - at.position).max() < 0.5
 
