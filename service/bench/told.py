@@ -11,6 +11,7 @@ from service.bench.brightness import counts, pixels
 from service.bench.canvas import on_canvas
 from service.bench.cases import Case
 from service.bench.cut import cut_off
+from service.bench.guided import by_hand
 from service.inference.params import SessionConfig
 from service.inference.pose import exp_so3, rotation_matrices
 from service.inference.state import Array
@@ -31,6 +32,7 @@ class Told:
     mesh_error: bool = True
     canvas: int | None = None  # the frames lie in the midst of an image of this side, px
     cut: float | None = None  # share of the body that lies beyond the image's lower edge
+    guided: int | None = None  # every frame is moved by up to so many px, as by hand
     altered: str | None = None  # one of ``altered.ALTERATIONS``: what a program did to the frames, and nobody tells
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
@@ -55,6 +57,8 @@ class Told:
             case = on_canvas(case, self.canvas)
         if self.cut is not None:
             case = cut_off(case, self.cut)
+        if self.guided is not None:
+            case = by_hand(case, self.guided)
         if self.stretch is not None:
             case = _stretched(case, self.stretch)
         return case if self.altered is None else altered(case, self.altered)

@@ -90,6 +90,7 @@ def track(
     cut: Annotated[
         float | None, typer.Option(min=0, max=0.5, help="Frames that end above such a share of the body.")
     ] = None,
+    guided: Annotated[int | None, typer.Option(min=1, help="Frames moved by up to so many px, as by hand.")] = None,
     untied: Annotated[
         float | None, typer.Option(help="All joints move on their own, each known within so many degrees.")
     ] = None,
@@ -100,7 +101,7 @@ def track(
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    told = Told(not nosun, sun_off, known_range, not own_sky, stretch, not exact_mesh, canvas, cut, altered)
+    told = Told(not nosun, sun_off, known_range, not own_sky, stretch, not exact_mesh, canvas, cut, guided, altered)
     terms = Terms(limit, settled, told)
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())

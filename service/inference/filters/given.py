@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
+
+import numpy as np
 
 from service.inference.domain import Domain
 from service.inference.held import Held
@@ -65,6 +67,7 @@ class Predicted:
     log_weights: Array
     existence: Array  # (3,)
     displaced: Displaced | None
+    aside: Array = field(default_factory=lambda: np.zeros(2))  # px from there to where the frame shows their light
 
 
 @dataclass(frozen=True)

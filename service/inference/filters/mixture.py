@@ -15,6 +15,7 @@ from service.inference.filters.answer import drawn, estimate_of, unseen
 from service.inference.filters.displaced import carried_on, with_displaced
 from service.inference.filters.effort import is_doubted, part_due, searched_nats
 from service.inference.filters.given import Given, Predicted, Updated
+from service.inference.filters.pointing import pointed
 from service.inference.filters.status import one_answer, status_of, told_existence
 from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
 from service.inference.held import believed
@@ -49,8 +50,11 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     noise = motion_noise(given.config.motion, given.domain)
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     ahead = None if before is None else predict(before, noise, dt_s)
-    found = propose(rng, before, ahead, given)
-    judged = judge(before, ahead, found, noise, given)
+    seen = None if before is None or ahead is None else pointed(ahead, before, given)
+    found = propose(rng, before, seen, given)
+    judged = judge(before, seen, found, noise, given)
+    if seen is not ahead and judged is not None and judged.after.existence[existence.FITS] < 0.5:
+        judged = judge(before, ahead, found, noise, given)  # that light is not the body's
     mesh_error = given.domain.prior.mesh_error
     if judged is not None and before is None and found is not None and is_doubted(judged.after, mesh_error):
         once_more = looked(rng, Track(as_candidates(found), doubted=True), given, shake=True)
@@ -193,8 +197,9 @@ def followed_on(before: Mixture, ahead: Predicted, given: Given) -> tuple[Sight,
     core, wings = (float(one) for one in before.point_spread)
     nuisance = Nuisance(core, wings, before.discrepancy, before.photon, before.hides, before.sharpened, before.mask)
     reach = given.body.fine.radius * float(np.exp(ahead.poses.log_scale[lead]))
-    sight = given.frame.around(ahead.poses.position[lead], _RIM * reach, before.span_px, nuisance.core)
-    leader = ahead.poses[lead : lead + 1], ahead.suns[lead : lead + 1], ahead.paint[lead]
+    there = replace(ahead.poses, position=ahead.poses.position + ahead.aside)
+    sight = given.frame.around(there.position[lead], _RIM * reach, before.span_px, nuisance.core)
+    leader = there[lead : lead + 1], ahead.suns[lead : lead + 1], ahead.paint[lead]
     sight = sight.over(lambda lens: lit_box(given.body.fine, *leader, lens=lens))
     return sight, stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
 
@@ -209,7 +214,8 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
         return []
     d = ahead.rates.shape[1]
     precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
-    poses = replace(ahead.poses, joints=within(hill.drawing, ahead.poses.joints))
+    start = ahead.poses.position + ahead.aside
+    poses = replace(ahead.poses, position=start, joints=within(hill.drawing, ahead.poses.joints))
     enough = np.full(len(poses), ENOUGH if far else _ENOUGH_OF_OTHERS)
     enough[np.argmax(ahead.log_weights)] = ENOUGH
     believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)

@@ -52,6 +52,7 @@ HIDDEN_MISSED = 0.5  # of the share of a body's light that is hidden: so many se
 EVIDENCE_TRUST = 0.15  # power of evidence from one mode to another: the truth loses by up to 14 nats in single frames;
 # of 364 frames those told with a share of 0.9 or more are right, all 318; between 0.7 and 0.9 it is 0.5, below 0.5 0.36
 ANSWER_WRONG = 0.003  # probability that an answer is wrong that is told with 1: one of 320, after 318 that are right
+TELESCOPE_MOVED = 0.02  # probability, per frame: the body may then be anywhere in it
 FADES = 0.5  # log of the light's change from one frame to the next: turning panels, glints
 MEMORY_KEPT = 0.4  # of what earlier frames say of a pose: they err where the next one errs
 SUN_DRIFT = 0.02  # rad, per root s, in camera axes: the field turns while a telescope follows a pass

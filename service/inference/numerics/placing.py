@@ -25,6 +25,7 @@ from service.inference.state import Array, Poses
 
 _ROUNDS = 3  # numerical: of reweighting
 _FAINT = 1e-3  # numerical: of the brightest pixel: what is less moves nothing
+_ALIKE = 0.7  # numerical: of the greatest likeness: from there steps lead to it
 _LEAST = 1e-3  # numerical: of the first guess of its light: the body is never thought dark
 
 
@@ -35,12 +36,31 @@ def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
     whole = np.linalg.inv(believed.precision)[:, 3:5, 3:5] / hill.view.binning**2  # patch px
     away = (poses.position - believed.means.position) / hill.view.binning
     reach = hill.trust.place * hill.drawing.radius * np.exp(poses.log_scale) / hill.view.binning
-    unsure = _paint_variance(terms)
+    unsure, start = _paint_variance(terms), _start(terms, pictures[0])
+    if start.any():
+        pictures = np.stack([[_shifted(one, start) for one in parts] for parts in pictures])
     moves = [
-        _move(terms, pictures[k], np.linalg.inv(whole[k]), away[k], float(reach[k]), float(unsure[k]))
+        _move(terms, pictures[k], np.linalg.inv(whole[k]), away[k] + start, float(reach[k]), float(unsure[k]))
         for k in range(len(poses))
     ]
-    return replace(poses, position=poses.position + hill.view.binning * np.array(moves).reshape(-1, 2))
+    return replace(poses, position=poses.position + hill.view.binning * (start + np.array(moves).reshape(-1, 2)))
+
+
+def _start(terms: Terms, parts: Images) -> Array:
+    """(2,) whole patch px by which light (M, 3, S, S) is most like the data; 0 where it is nearly so as it lies.
+
+    By day, when a body may be darker than what it hides, its light alone does not tell.
+    """
+    picture = parts[0, 0]
+    if len(parts) > 1:
+        return np.zeros(2)
+    data = np.where(terms.stars > 0, np.float32(0.0), terms.data)
+    likeness = np.fft.irfft2(np.fft.rfft2(data) * np.conj(np.fft.rfft2(picture)), s=data.shape)
+    down, across = np.unravel_index(int(np.argmax(likeness)), data.shape)
+    if likeness[0, 0] >= _ALIKE * likeness[down, across]:
+        return np.zeros(2)
+    half = len(data) // 2
+    return np.array([(across + half) % len(data) - half, (down + half) % len(data) - half], np.float64)
 
 
 def _expected(hill: Hill, poses: Poses, suns: Array, terms: Terms) -> Images:

@@ -9,6 +9,7 @@ from service.bench.brightness import pixels
 from service.bench.canvas import framed, on_canvas
 from service.bench.cut import cut_off
 from service.bench.folder import SequenceError
+from service.bench.guided import by_hand
 from service.bench.sky_bench import bench_sky, sky_document, sky_table
 from service.simulate.folder import encode_png
 
@@ -47,6 +48,22 @@ def test_a_pass_moves_with_its_frames(case_of, satellite, truth):
     assert [pixels(one).shape for one in wide.backgrounds()] == [(400, 400)]
     with pytest.raises(SequenceError, match="larger than a canvas of 8 px"):
         on_canvas(case, 8)
+
+
+def test_a_pass_that_is_guided_by_hand(case_of, satellite, truth):
+    """Every frame is moved by its own, the truth with it; the body stays within."""
+    image = np.random.default_rng(0).integers(0, 99, (200, 160), np.uint8)
+    at = replace(truth, position=np.array([30.0, 100.0]), scale=20.0 / satellite.mesh.radius)
+    case = replace(case_of(satellite), size=(160, 200), frames=lambda: iter([(encode_png(image), at)] * 12))
+    moves = []
+    for body, told in by_hand(case, 40).frames():
+        moves.append(told.position - at.position)
+        moved = np.roll(image, moves[-1][::-1].astype(int), (0, 1))
+        np.testing.assert_array_equal(pixels(body), moved)
+        assert told.position[0] >= 22 and (told.position <= [138, 178]).all() and np.abs(moves[-1]).max() <= 40
+    assert len(np.unique(moves, axis=0)) > 10
+    repeated = [told.position - at.position for _, told in by_hand(case, 40).frames()]
+    np.testing.assert_array_equal(repeated, moves)
 
 
 def test_a_pass_of_which_the_edge_cuts_the_body(case_of, satellite, truth):

@@ -1,0 +1,34 @@
+"""Passes as a telescope shows them that is guided by hand: the body is elsewhere in every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from service.bench.brightness import pixels
+from service.bench.cases import Case, TruthFrame
+from service.simulate.folder import encode_png
+
+_RIM = 1.1  # of the body's radius that stays within the image
+
+
+def by_hand(case: Case, most: int) -> Case:
+    """The case with every frame moved by up to ``most`` px along each axis, the body staying within it.
+
+    What leaves the image on one side comes in on the other: the sky's noise, and stars.
+    """
+    width, height = case.size
+
+    def frames() -> Iterator[tuple[bytes, TruthFrame]]:
+        rng = np.random.default_rng(0)
+        for body, truth in case.frames():
+            rim = _RIM * case.model.mesh.radius * truth.scale
+            low = np.minimum(np.maximum(rim - truth.position, -most), 0.0)
+            high = np.maximum(np.minimum(np.array([width, height]) - rim - truth.position, most), 0.0)
+            move = np.trunc(rng.uniform(low, high)).astype(int)
+            moved = np.roll(pixels(body), move[::-1], (0, 1))
+            yield encode_png(moved), replace(truth, position=truth.position + move)
+
+    return replace(case, frames=frames)
