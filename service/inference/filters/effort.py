@@ -30,6 +30,11 @@ def is_doubted(mixture: Mixture, mesh_error: float = 0.0) -> bool:
     return bool(told_existence(mixture, mesh_error)[existence.NO_FIT] >= 0.5)
 
 
+def explains(mixture: Mixture) -> bool:
+    """Whether this body rather explains the light that is seen, were the truth among the modes."""
+    return bool(mixture.existence[existence.FITS] >= 0.5)
+
+
 def is_open(mixture: Mixture, mesh_error: float = 0.0) -> bool:
     """Whether two searches may have missed the truth: of little light, blurred, of what fits worse or is not alone."""
     missed = existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)

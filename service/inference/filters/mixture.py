@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from service.inference.filters.answer import drawn, estimate_of, unseen
 from service.inference.filters.displaced import carried_on, with_displaced
-from service.inference.filters.effort import is_doubted, part_due, searched_nats
+from service.inference.filters.effort import explains, is_doubted, part_due, searched_nats
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.pointing import pointed
 from service.inference.filters.status import one_answer, status_of, told_existence
@@ -50,11 +50,15 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     noise = motion_noise(given.config.motion, given.domain)
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     ahead = None if before is None else predict(before, noise, dt_s)
-    seen = None if before is None or ahead is None else pointed(ahead, before, given)
-    found = propose(rng, before, seen, given)
-    judged = judge(before, seen, found, noise, given)
-    if seen is not ahead and judged is not None and judged.after.existence[existence.FITS] < 0.5:
-        judged = judge(before, ahead, found, noise, given)  # that light is not the body's
+    places = (ahead,) if before is None or ahead is None else pointed(ahead, before, given)
+    found = propose(rng, before, places[0], given)
+    judged = judge(before, places[0], found, noise, given)
+    if judged is not None and not explains(judged.after) and len(places) > 1:
+        other = judge(before, places[1], found, noise, given)
+        if other is not None and (
+            explains(other.after) or places[1] is ahead
+        ):  # where neither fits it is as it was expected
+            judged = other
     mesh_error = given.domain.prior.mesh_error
     if judged is not None and before is None and found is not None and is_doubted(judged.after, mesh_error):
         once_more = looked(rng, Track(as_candidates(found), doubted=True), given, shake=True)
