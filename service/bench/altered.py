@@ -12,8 +12,9 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from service.bench.brightness import counts, pixels
+from service.bench.brightness import counts, pixels, to_power
 from service.bench.cases import Case, TruthFrame
 from service.bench.folder import SequenceError
 from service.imaging.decode import Pixels
@@ -92,18 +93,23 @@ def _sharpened(images: Sequence[Pixels]) -> list[Pixels]:
 
 
 def _black(images: Sequence[Pixels]) -> list[Pixels]:
-    sky = images[0].astype(np.float32)
+    level, noise = _sky_of(images[0])
+    black = np.rint(level + _BLACK * noise)
+    return [counts(image.astype(np.float32) - black, image) for image in images]
+
+
+def _sky_of(empty: Pixels) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Level of an empty image and noise of its pixels, of each channel."""
+    sky = empty.astype(np.float32)
     level = np.median(sky, axis=(0, 1))
-    black = np.rint(level + _BLACK * OF_A_NORMAL * np.median(np.abs(sky - level), axis=(0, 1)))
-    return [counts(image - black, image) for image in images]
+    return level, OF_A_NORMAL * np.median(np.abs(sky - level), axis=(0, 1))
 
 
 def _full(images: Sequence[Pixels]) -> list[Pixels]:
     """The sensor is full below what the file could hold, as one of twelve bits in a file of sixteen."""
-    sky, *seen = (image.astype(np.float32) for image in images)
-    level = np.median(sky, axis=(0, 1))
-    least = level + _LIT * np.maximum(OF_A_NORMAL * np.median(np.abs(sky - level), axis=(0, 1)), 1.0)
-    shown = np.stack(seen)
+    level, noise = _sky_of(images[0])
+    least = level + _LIT * np.maximum(noise, 1.0)
+    shown = np.stack(images[1:]).astype(np.float32)
     if not (shown > least).any():
         return list(images)
     most = np.nanquantile(np.where(shown > least, shown, np.nan), 1 - _FULL, axis=(0, 1, 2)).astype(np.float32)
@@ -111,8 +117,7 @@ def _full(images: Sequence[Pixels]) -> list[Pixels]:
 
 
 def _gamma(images: Sequence[Pixels]) -> list[Pixels]:
-    tops = [np.iinfo(image.dtype).max for image in images]
-    return [counts((image / top) ** _POWER * top, image) for image, top in zip(images, tops, strict=True)]
+    return [to_power(image, _POWER) for image in images]
 
 
 def _steps(images: Sequence[Pixels]) -> list[Pixels]:

@@ -40,6 +40,12 @@ def counts(values: NDArray[np.floating], like: Pixels) -> Pixels:
     return found
 
 
+def to_power(image: Pixels, power: float) -> Pixels:
+    """Counts that are an image's to a power, both as shares of full scale."""
+    top = np.iinfo(image.dtype).max
+    return counts((image / top) ** power * top, image)
+
+
 def grey(body: bytes) -> NDArray[np.float64]:
     """(H, W) an image file's mean over channels."""
     image = pixels(body).astype(np.float64)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.bench.altered import altered
-from service.bench.brightness import counts, pixels
+from service.bench.brightness import pixels, to_power
 from service.bench.canvas import on_canvas
 from service.bench.cases import Case
 from service.bench.cut import cut_off
@@ -74,9 +74,7 @@ def _stretched(case: Case, power: float) -> Case:
 
 def stretched(body: bytes, power: float) -> bytes:
     """A PNG whose counts are those of another to a power, both as shares of full scale."""
-    image = pixels(body)
-    top = np.iinfo(image.dtype).max
-    return encode_png(counts((image / top) ** power * top, image))
+    return encode_png(to_power(pixels(body), power))
 
 
 def turned(direction: Array, degrees: float) -> Array:

@@ -15,9 +15,8 @@ from service.inference.model.spread import PointSpread, spread
 Images = NDArray[np.float32]
 _BUMPS, _BUMP_WIDTH = (0.25, 0.5, 0.75), 0.2  # prior: of a patch's side: where the air shifts the image alike
 _BRIGHTER = 0.99  # numerical: quantile of a frame's light from which its gain is guessed, 3 sigma at the least
-_UNSEEN_SHARE = (
-    0.05  # numerical: of a pixel's light that comes from where nothing is known: then nothing is known of it
-)
+# numerical: of a pixel's light that comes from where nothing is known: then nothing is known of it
+_UNSEEN_SHARE = 0.05
 _FULL_SHARE = 0.5  # numerical: of a pixel that is full: then it is
 # numerical: a frequency's noise, in standard deviations, and its transfer's deviations (h), a factor, that are allowed
 _NOISE_SIGMAS, _DEVIATION = 4.0, 2.0
