@@ -47,20 +47,31 @@ def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
 
 
 def _start(terms: Terms, parts: Images) -> Array:
-    """(2,) whole patch px by which light (M, 3, S, S) is most like the data; 0 where it is nearly so as it lies.
+    """(2,) whole patch px by which pictures (M, 3, S, S) explain the data best; 0 where nearly so as they lie.
 
-    By day, when a body may be darker than what it hides, its light alone does not tell.
+    Wherever they may lie their brightness is the likeliest there.
     """
-    picture = parts[0, 0]
-    if len(parts) > 1:
-        return np.zeros(2)
+    pictures = parts[:, 0]
     data = np.where(terms.stars > 0, np.float32(0.0), terms.data)
-    likeness = np.fft.irfft2(np.fft.rfft2(data) * np.conj(np.fft.rfft2(picture)), s=data.shape)
-    down, across = np.unravel_index(int(np.argmax(likeness)), data.shape)
-    if likeness[0, 0] >= _ALIKE * likeness[down, across]:
+    precise, mean = _brightness_prior(terms, len(parts))
+    likeness = np.fft.irfft2(np.fft.rfft2(data) * np.conj(np.fft.rfft2(pictures)), s=data.shape)
+    flat = pictures.reshape(len(parts), -1).astype(np.float64)
+    pull = likeness / terms.noise + (precise * mean)[:, None, None]
+    bright = np.tensordot(np.linalg.inv(flat @ flat.T / terms.noise + np.diag(precise)), pull, 1)
+    nats = 0.5 * np.sum(bright * pull, axis=0) - 0.5 * float(precise @ mean**2)
+    nats[(bright < 0).any(axis=0)] = 0.0  # it neither takes light away nor gives the sky more
+    down, across = np.unravel_index(int(np.argmax(nats)), data.shape)
+    if nats[0, 0] >= _ALIKE**2 * nats[down, across]:
         return np.zeros(2)
     half = len(data) // 2
     return np.array([(across + half) % len(data) - half, (down + half) % len(data) - half], np.float64)
+
+
+def _brightness_prior(terms: Terms, count: int) -> tuple[Array, Array]:
+    """(M,) precisions and means of the brightness of the light, and by day of the sky that is hidden."""
+    precise, mean = np.full(count, np.exp(-2 * (terms.gain + GAIN_SIGMA))), np.zeros(count)
+    precise[1:], mean[1:] = HIDDEN_SIGMA**-2, HIDDEN_MEAN
+    return precise, mean
 
 
 def _expected(hill: Hill, poses: Poses, suns: Array, terms: Terms) -> Images:
@@ -97,8 +108,7 @@ def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: flo
     starry, m = terms.stars[window] > 0, len(parts)
     if not parts[-1, 0].any():
         return np.zeros(2)
-    precise, mean = np.full(m, np.exp(-2 * (terms.gain + GAIN_SIGMA))), np.zeros(m)  # of the brightness of each
-    precise[1:], mean[1:] = HIDDEN_SIGMA**-2, HIDDEN_MEAN
+    precise, mean = _brightness_prior(terms, m)
     flat = parts[:, 0].reshape(m, -1).astype(np.float64)
     normal = flat @ flat.T / terms.noise + np.diag(precise)
     bright = np.linalg.solve(normal, flat @ data.ravel() / terms.noise + precise * mean)

@@ -59,6 +59,13 @@ def test_by_day_a_body_is_where_the_sky_is_hidden(gain):
     np.testing.assert_allclose(out.position, np.repeat(pose().position, 3, 0), atol=0.5)
 
 
+@pytest.mark.parametrize("given", [frame, by_day])
+def test_a_jump_by_more_than_steps_can_follow(given):
+    """By day, too: a body darker than the sky is dark where it lies."""
+    out = found(given(), moved(np.array([[13.0, -9.0]])), sigma_px=50.0)
+    np.testing.assert_allclose(out.position, pose().position, atol=0.5)
+
+
 def test_what_is_known_of_its_place_counts():
     out = found(frame(), moved(OFF), sigma_px=1e-4)
     np.testing.assert_allclose(out.position, moved(OFF).position, atol=0.01)
