@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +29,9 @@ _HALF_STEP = 0.09  # numerical: of the scales, log
 _PER_LOG_SCALE = 0.5  # numerical: correlation that a look may lose for a scale e times off
 _BRIGHTEST, _DARKEST = 0.97, 0.995  # numerical: quantiles that stand for the brightest pixels, of light and of all
 _AROUND, _LEAST_AROUND_PX = 0.45, 0.4  # numerical: width of a look's sampling, template px, frame px
+_BEYOND = (1.25, 1.5, 1.8)  # numerical: times as long as what is seen of it: a body that goes on where nothing is
+_KNOWN = 0.5  # numerical: share of a template's pixel that is seen
+_LEAST_SHOWN = 0.2  # numerical: of a template's variance, in what is seen: less of it tells nothing
 _CHUNK = 512  # numerical: templates drawn at once
 
 
@@ -73,6 +77,7 @@ class Looks:
     pictures: Images  # (kinds, V, SIDE * SIDE)
     zoom: Array  # (V,)
     offset: Array  # (V, 2)
+    known: Images | None = None  # (V, SIDE * SIDE) 1 where the frame shows what is there, else 0; None: everywhere
 
 
 def looks(image: Images, sigma: float) -> Looks:
@@ -80,33 +85,62 @@ def looks(image: Images, sigma: float) -> Looks:
 
     What is lit is taken in several ways: a dim panel or a thin boom moves the moments of faint light, not of bright.
     """
-    smooth = _blurred(image, 1.0)
-    floor = _FLOOR_SIGMAS * sigma
-    above = np.where(np.abs(smooth) > floor, np.abs(smooth) if _is_dark(smooth, sigma) else smooth, 0.0)
-    above = np.maximum(above, 0).astype(np.float32)
+    above, floor = _lit(image, sigma)
     some = above > 0
     top = float(np.quantile(above[some], _BRIGHTEST)) if some.any() else 1.0
-    zooms, offsets = list[float](), list[Array]()
-    pictures, outlines = list[Images](), list[Images]()
+    ways: list[tuple[Array, float]] = []
     for share in _LIT_SHARES:
         mask = above > max(share * top, floor)
-        if not mask.any():
-            continue
-        centre, rim = (m[0] for m in T.lit_moments(mask[None].astype(np.float32)))
-        for zoom in float(rim) / T._RIM_PX * np.array(_SCALES):
-            tried = centre + zoom * np.array(_SHIFTS_PX)[:, None] - zoom * T.SIDE / 2  # (shifts, 2)
-            across, down = (_sampling(len(image), zoom, tried[:, k]) for k in (0, 1))  # (shifts * S, size)
-            for light, to in ((above, pictures), (some.astype(np.float32), outlines)):
-                seen = np.asarray(down @ light @ across.T, np.float32)
-                each = seen.reshape(len(tried), T.SIDE, len(tried), T.SIDE)
-                to.append(each.transpose(2, 0, 1, 3))  # across, down, S, S
-            x, y = np.meshgrid(tried[:, 0], tried[:, 1], indexing="ij")
-            offsets.append(np.column_stack([x.ravel(), y.ravel()]))
-            zooms += [zoom] * x.size
-    if not pictures:  # no light: nothing to go by
+        if mask.any():
+            centre, rim = (m[0] for m in T.lit_moments(mask[None].astype(np.float32)))
+            ways += [(centre, zoom) for zoom in float(rim) / T._RIM_PX * np.array(_SCALES)]
+    return _sampled(above, ways)
+
+
+def looks_beyond(image: Images, sigma: float, unseen: NDArray[np.bool_]) -> Looks:
+    """The same where light touches what is not seen (S, S): of bodies that go on there, so far in each of some ways."""
+    above, _ = _lit(image, sigma)
+    touching = (above > 0) & (cv2.dilate(unseen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+    ways: list[tuple[Array, float]] = []
+    if touching.any():
+        lit = (above > 0)[None].astype(np.float32)
+        centre, rim = (m[0] for m in T.lit_moments(lit))
+        towards = T.lit_moments(touching[None].astype(np.float32))[0][0] - centre
+        towards /= max(float(np.hypot(*towards)), 1e-6)
+        along = (np.argwhere(above > 0)[:, ::-1] + 0.5 - centre) @ towards
+        middle, long = 0.5 * (along.max() + along.min()), along.max() - along.min()
+        for times in _BEYOND:
+            there = centre + (middle + 0.5 * (times - 1) * long) * towards
+            ways.append((there, times * float(rim) / T._RIM_PX))
+    return _sampled(above, ways, unseen)
+
+
+def _lit(image: Images, sigma: float) -> tuple[Images, float]:
+    """(S, S) light that is more than noise, or by day what differs from the sky; and the least that is."""
+    smooth, floor = _blurred(image, 1.0), _FLOOR_SIGMAS * sigma
+    above = np.where(np.abs(smooth) > floor, np.abs(smooth) if _is_dark(smooth, sigma) else smooth, 0.0)
+    return np.maximum(above, 0).astype(np.float32), floor
+
+
+def _sampled(above: Images, ways: Sequence[tuple[Array, float]], unseen: NDArray[np.bool_] | None = None) -> Looks:
+    """Light as templates see it about centres (2,) at zooms, at several shifts of each."""
+    planes = [above, (above > 0).astype(np.float32)] + ([] if unseen is None else [(~unseen).astype(np.float32)])
+    zooms, offsets, pictures = list[float](), list[Array](), [list[Images]() for _ in planes]
+    for centre, zoom in ways:
+        tried = centre + zoom * np.array(_SHIFTS_PX)[:, None] - zoom * T.SIDE / 2  # (shifts, 2)
+        across, down = (_sampling(len(above), zoom, tried[:, k]) for k in (0, 1))  # (shifts * S, size)
+        for plane, to in zip(planes, pictures, strict=True):
+            seen = np.asarray(down @ plane @ across.T, np.float32)
+            each = seen.reshape(len(tried), T.SIDE, len(tried), T.SIDE)
+            to.append(each.transpose(2, 0, 1, 3))  # across, down, S, S
+        x, y = np.meshgrid(tried[:, 0], tried[:, 1], indexing="ij")
+        offsets.append(np.column_stack([x.ravel(), y.ravel()]))
+        zooms += [zoom] * x.size
+    if not zooms:  # no light: nothing to go by
         return Looks(np.zeros((len(T.KINDS), 0, T.SIDE**2), np.float32), np.empty(0), np.empty((0, 2)))
-    whole, outline = (np.concatenate(part).reshape(-1, T.SIDE, T.SIDE) for part in (pictures, outlines))
-    return Looks(T.kinds_of(whole, outline), np.array(zooms), np.concatenate(offsets))
+    light, outline, *known = (np.concatenate(part).reshape(-1, T.SIDE, T.SIDE) for part in pictures)
+    shown = None if not known else (known[0] > _KNOWN).reshape(len(zooms), -1).astype(np.float32)
+    return Looks(T.kinds_of(light, outline), np.array(zooms), np.concatenate(offsets), shown)
 
 
 def _is_dark(smooth: Images, sigma: float) -> bool:
@@ -151,10 +185,12 @@ def match(
         wide = 3 * log_scale_sigma + _HALF_STEP
         off = _PER_LOG_SCALE * np.maximum(np.abs(scale - log_scale) - wide, 0.0).astype(np.float32)
     few = min(kept or len(bank.poses), len(bank.poses))
-    principal = bank.principal if few < len(bank.poses) else None
+    principal = bank.principal if few < len(bank.poses) and seen.known is None else None
 
     def likest(kind: int) -> tuple[Images, NDArray[np.intp]]:
         templates, pictures = bank.pictures[kind], seen.pictures[kind]
+        if seen.known is not None:
+            return _greatest(_correlated(templates, pictures, seen.known), off)
         if principal is None:
             return _greatest(templates @ pictures.T, off)
         basis, shares = (one[kind] for one in principal)
@@ -174,6 +210,15 @@ def match(
             size = np.clip(size, log_scale - wide, log_scale + wide)
         poses.append(Poses(bank.poses.quaternion, position, size, bank.poses.joints))
     return np.stack(scores).astype(np.float64), poses
+
+
+def _correlated(templates: Images, pictures: Images, known: Images) -> Images:
+    """(N, V) correlations of templates (N, P) with looks (V, P), over the pixels that each look knows (V, P)."""
+    count = np.maximum(known.sum(axis=1), 1.0)
+    seen = known * (pictures - ((known * pictures).sum(axis=1) / count)[:, None])
+    length = np.maximum(np.sqrt((seen**2).sum(axis=1)), 1e-6)
+    own = np.square(templates) @ known.T - np.square(templates @ known.T) / count
+    return np.asarray((templates @ seen.T) / (length * np.sqrt(np.maximum(own, _LEAST_SHOWN))), np.float32)
 
 
 def _greatest(product: Images, off: Images | None) -> tuple[Images, NDArray[np.intp]]:

@@ -46,17 +46,22 @@ def propose(bank: Bank, patch: PatchLike, told: PosePrior, part: Part = WHOLE) -
 
 
 def _met(bank: Bank, patch: PatchLike, told: PosePrior, turn: float, kept: int, roughly: bool) -> list[Candidates]:
-    """Of each kind the likest templates, in patch px, if the frame is turned by so much (rad) from x to y.
+    """Of each kind the likest templates, in patch px, if the frame is turned by so much (rad) from x to y; where light
+    touches what is not seen, then those of bodies that go on there.
 
     ``roughly``: most templates are compared by their principal pictures, which are worth finding for many turns.
     """
-    seen = banks.looks(_turned(patch.image, turn), patch.sigma)
+    image, out = _turned(patch.image, turn), []
+    ways = [banks.looks(image, patch.sigma)]
+    if patch.unseen.any():
+        unseen = _turned(patch.unseen.astype(np.float32), turn) > 0
+        ways.append(banks.looks_beyond(image, patch.sigma, unseen))
     log_scale = None if told.log_scale is None else told.log_scale - np.log(patch.binning)
-    scores, poses = banks.match(bank, seen, log_scale, told.log_scale_sigma, 3 * kept if roughly else None)
-    out = []
-    for score, here in zip(scores, poses, strict=True):
-        order = np.argsort(-score)[: 3 * kept]
-        out.append(_turned_back(Candidates(here[order], bank.suns[order], score[order]), len(patch.image), turn))
+    for seen in ways:
+        scores, poses = banks.match(bank, seen, log_scale, told.log_scale_sigma, 3 * kept if roughly else None)
+        for score, here in zip(scores, poses, strict=True):
+            order = np.argsort(-score)[: 3 * kept]
+            out.append(_turned_back(Candidates(here[order], bank.suns[order], score[order]), len(patch.image), turn))
     return out
 
 

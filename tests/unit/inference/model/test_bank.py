@@ -204,6 +204,41 @@ def test_a_body_darker_than_the_sky_is_matched_by_its_shape():
     assert scores[:, 180].max() == pytest.approx(again[:, 180].max(), abs=0.05)
 
 
+@pytest.mark.parametrize("k", [3, 77, 301])
+def test_a_body_that_goes_on_where_nothing_is_seen_is_met_at_its_whole_size(k):
+    """Two fifths of it beyond an edge: its template is among the likest, where it is; less so as if it ended there."""
+    truth, image = frame(k, 30.0, (48.0, 58.0))
+    edge = int(np.flatnonzero((image > 20).any(axis=1))[-1] - 0.4 * (image > 20).any(axis=1).sum())
+    unseen = np.zeros(image.shape, np.bool_)
+    unseen[edge:] = True
+    image[unseen] = 0.0
+    scores, poses = banks.match(bank(), banks.looks_beyond(image, SIGMA, unseen))
+    ranks = [int(np.sum(row > row[k])) for row in scores]
+    best = int(np.argmin(ranks))
+    assert min(ranks) < 10  # of 400; a kind keeps 80
+    assert np.abs(poses[best].position[k] - truth.position[0]).max() < 0.25 * 30.0
+    assert abs(poses[best].log_scale[k] - truth.log_scale[0]) < 0.2
+    ended, _ = banks.match(bank(), banks.looks(image, SIGMA))
+    assert min(int(np.sum(row > row[k])) for row in ended) > min(ranks)
+
+
+def test_what_does_not_touch_what_is_unseen_ends_where_it_is_seen_to():
+    _, image = frame(77, 30.0, (48.0, 48.0))
+    unseen = np.zeros(image.shape, np.bool_)
+    unseen[:4] = True
+    assert not len(banks.looks_beyond(image, SIGMA, unseen).zoom)
+
+
+def test_a_correlation_over_all_pixels_is_a_product_and_over_some_that_of_their_deviations():
+    rng = np.random.default_rng(5)
+    templates, pictures = (normalised(rng.normal(size=(n, SIDE, SIDE)).astype(np.float32)) for n in (7, 5))
+    known = np.ones_like(pictures)
+    assert banks._correlated(templates, pictures, known) == pytest.approx(templates @ pictures.T, abs=1e-5)
+    known[:, :150] = 0.0
+    wanted = [[np.corrcoef(t[150:], p[150:])[0, 1] for p in pictures] for t in templates]
+    assert banks._correlated(templates, pictures, known) == pytest.approx(np.array(wanted), abs=1e-5)
+
+
 def test_a_patch_without_light_has_looks_that_match_nothing():
     seen = banks.looks(np.zeros((96, 96), np.float32), SIGMA)
     scores, _ = banks.match(bank(), seen)
