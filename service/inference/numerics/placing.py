@@ -36,20 +36,21 @@ def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
     whole = np.linalg.inv(believed.precision)[:, 3:5, 3:5] / hill.view.binning**2  # patch px
     away = (poses.position - believed.means.position) / hill.view.binning
     reach = hill.trust.place * hill.drawing.radius * np.exp(poses.log_scale) / hill.view.binning
-    unsure, start = _paint_variance(terms), _start(terms, pictures[0])
+    known = np.linalg.inv(whole)
+    unsure, start = _paint_variance(terms), _start(terms, pictures[0], known[0], away[0])
     if start.any():
         pictures = np.stack([[_shifted(one, start) for one in parts] for parts in pictures])
     moves = [
-        _move(terms, pictures[k], np.linalg.inv(whole[k]), away[k] + start, float(reach[k]), float(unsure[k]))
+        _move(terms, pictures[k], known[k], away[k] + start, float(reach[k]), float(unsure[k]))
         for k in range(len(poses))
     ]
     return replace(poses, position=poses.position + hill.view.binning * (start + np.array(moves).reshape(-1, 2)))
 
 
-def _start(terms: Terms, parts: Images) -> Array:
+def _start(terms: Terms, parts: Images, precision: Array, away: Array) -> Array:
     """(2,) whole patch px by which pictures (M, 3, S, S) explain the data best; 0 where nearly so as they lie.
 
-    Wherever they may lie their brightness is the likeliest there.
+    Wherever they may lie their brightness is the likeliest there; ``away`` as they lie from where they are expected.
     """
     pictures = parts[:, 0]
     data = np.where(terms.stars > 0, np.float32(0.0), terms.data)
@@ -60,11 +61,14 @@ def _start(terms: Terms, parts: Images) -> Array:
     bright = np.tensordot(np.linalg.inv(flat @ flat.T / terms.noise + np.diag(precise)), pull, 1)
     nats = 0.5 * np.sum(bright * pull, axis=0) - 0.5 * float(precise @ mean**2)
     nats[(bright < 0).any(axis=0)] = 0.0  # it neither takes light away nor gives the sky more
+    half = len(data) // 2
+    shifts = (np.arange(len(data)) + half) % len(data) - half
+    off = np.stack(np.meshgrid(shifts, shifts), axis=-1) + away
+    nats = nats - 0.5 * np.einsum("yxi,ij,yxj->yx", off, precision, off)
     down, across = np.unravel_index(int(np.argmax(nats)), data.shape)
     if nats[0, 0] >= _ALIKE**2 * nats[down, across]:
         return np.zeros(2)
-    half = len(data) // 2
-    return np.array([(across + half) % len(data) - half, (down + half) % len(data) - half], np.float64)
+    return np.array([shifts[across], shifts[down]], np.float64)
 
 
 def _brightness_prior(terms: Terms, count: int) -> tuple[Array, Array]:
