@@ -12,20 +12,13 @@ import numpy as np
 
 from service.inference.belief import Belief
 from service.inference.domain import Domain
-from service.inference.model.prior import (
-    EVIDENCE_TRUST,
-    MESH_DOUBT,
-    MESH_GROWTH,
-    MESH_PLACE,
-    MESH_TURN,
-    POSE_DEGREES_OF_FREEDOM,
-)
+from service.inference.model import prior
 from service.inference.state import Array, Mixture
 
 
 def evidence_trust(domain: Domain) -> float:
     """Power of evidence from one mode to another: of lookalikes the wrong one may be more like a body that is off."""
-    return EVIDENCE_TRUST / (1 + (domain.prior.mesh_error / MESH_DOUBT) ** 4)
+    return prior.EVIDENCE_TRUST / (1 + (domain.prior.mesh_error / prior.MESH_DOUBT) ** 4)
 
 
 def mesh_variance(log_scale: Array, domain: Domain) -> Array:
@@ -34,9 +27,11 @@ def mesh_variance(log_scale: Array, domain: Domain) -> Array:
     ``log_scale`` (K,). A hinge is off as the body is, a slide as the body's place.
     """
     error, joints = domain.prior.mesh_error, domain.articulation.joints
-    place = MESH_PLACE * error * domain.radius  # model units
-    own = [np.rad2deg(MESH_TURN * error) if joint.kind == "revolute" else place for joint in joints]
-    sigma = np.tile(np.array([*(3 * [MESH_TURN * error]), 0.0, 0.0, MESH_GROWTH * error, *own]), (len(log_scale), 1))
+    place = prior.MESH_PLACE * error * domain.radius  # model units
+    own = [np.rad2deg(prior.MESH_TURN * error) if joint.kind == "revolute" else place for joint in joints]
+    sigma = np.tile(
+        np.array([*(3 * [prior.MESH_TURN * error]), 0.0, 0.0, prior.MESH_GROWTH * error, *own]), (len(log_scale), 1)
+    )
     sigma[:, 3:5] = (place * np.exp(log_scale))[:, None]
     return np.asarray(sigma**2)
 
@@ -53,7 +48,7 @@ def stated_belief(belief: Belief, domain: Domain) -> Belief:
     if domain.prior.mesh_error == 0:
         return belief
     variance = mesh_variance(belief.poses.log_scale, domain)
-    variance *= POSE_DEGREES_OF_FREEDOM / (POSE_DEGREES_OF_FREEDOM - 2)
+    variance *= prior.POSE_DEGREES_OF_FREEDOM / (prior.POSE_DEGREES_OF_FREEDOM - 2)
     return replace(belief, covariance=_wider(belief.covariance, variance))
 
 

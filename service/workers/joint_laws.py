@@ -10,7 +10,7 @@ import numpy as np
 from gpu.mesh import Mesh
 from service.inference.articulation import Articulation
 from service.inference.belief import Belief
-from service.inference.model.prior import MEMORY_KEPT, POSE_DEGREES_OF_FREEDOM
+from service.inference.model import prior
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.numerics.student import scale_of
 from service.inference.params import JointParams
@@ -40,7 +40,7 @@ def laws_of_joints(every: Sequence[Jointed], mesh: Mesh, found: PassMotion) -> t
     for joint in (joint for one in every for joint in _seen(one, mesh)):
         seen.setdefault(joint.name, []).append(joint)
     lead = found.basins[0]
-    counted = (1 - MEMORY_KEPT) * lead.independent / (lead.explained * found.n_frames)  # frames that err alike
+    counted = (1 - prior.MEMORY_KEPT) * lead.independent / (lead.explained * found.n_frames)  # frames that err alike
     return tuple(joint_law(_merged(alike), min(counted, 1.0)) for _, alike in sorted(seen.items()))
 
 
@@ -54,7 +54,7 @@ def _seen(one: Jointed, mesh: Mesh) -> list[SeenJoint]:
     value, sigma, lacks, lacks_sigma = [], [], [], []
     for belief, k, sun in zip(one.beliefs, heaviest, one.suns, strict=True):
         d, pose = belief.n_tangent, belief.poses[k : k + 1]
-        scale = scale_of(belief.covariance[k][:d, :d], POSE_DEGREES_OF_FREEDOM)
+        scale = scale_of(belief.covariance[k][:d, :d], prior.POSE_DEGREES_OF_FREEDOM)
         off, slopes = tracking.slopes(pose, sun)
         slopes = slopes * tracking.sigma_deg
         value.append(pose.joints[0, list(tracking.columns)])

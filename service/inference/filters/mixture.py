@@ -40,7 +40,6 @@ from service.inference.symmetry import twin
 
 FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as fine as a track is followed
 _RIM, _SIGHT = 1.2, 1.6  # numerical: of the body's radius that belongs to it; a patch's side over its light's span
-_ENOUGH_OF_OTHERS = 1 / prior.EVIDENCE_TRUST  # numerical: nats that others may be short of their best
 _LEAST = 1e-3  # numerical: probability below which a mode is dropped
 
 
@@ -220,7 +219,7 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
     start = ahead.poses.position + ahead.aside
     poses = replace(ahead.poses, position=start, joints=within(hill.drawing, ahead.poses.joints))
-    enough = np.full(len(poses), ENOUGH if far else _ENOUGH_OF_OTHERS)
+    enough = np.full(len(poses), ENOUGH if far else 1 / prior.EVIDENCE_TRUST)
     enough[np.argmax(ahead.log_weights)] = ENOUGH
     believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
     given = hill, placed(hill, poses, ahead.suns, believed), ahead.suns

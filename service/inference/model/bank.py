@@ -98,7 +98,10 @@ def looks(image: Images, sigma: float) -> Looks:
 
 
 def looks_beyond(image: Images, sigma: float, unseen: NDArray[np.bool_]) -> Looks:
-    """The same where light touches what is not seen (S, S): of bodies that go on there, so far in each of some ways."""
+    """The same light as that of bodies that go on where nothing is seen (S, S), if it touches that; else no look.
+
+    What is seen ends where it ends, so a longer body lies further on towards where the light touches.
+    """
     above, _ = _lit(image, sigma)
     touching = (above > 0) & (cv2.dilate(unseen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
     ways: list[tuple[Array, float]] = []

@@ -12,10 +12,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from service.inference.model import prior
 from service.inference.model.drawing import EVEN_PLANES
 from service.inference.model.likelihood import t_log_density
 from service.inference.model.paint import painted
-from service.inference.model.prior import DEGREES_OF_FREEDOM, GAIN_SIGMA, HIDDEN_MEAN, HIDDEN_SIGMA
 from service.inference.model.scene import Images
 from service.inference.model.spread import spread_slopes
 from service.inference.model.terms import Terms
@@ -73,8 +73,8 @@ def _start(terms: Terms, parts: Images, precision: Array, away: Array) -> Array:
 
 def _brightness_prior(terms: Terms, count: int) -> tuple[Array, Array]:
     """(M,) precisions and means of the brightness of the light, and by day of the sky that is hidden."""
-    precise, mean = np.full(count, np.exp(-2 * (terms.gain + GAIN_SIGMA))), np.zeros(count)
-    precise[1:], mean[1:] = HIDDEN_SIGMA**-2, HIDDEN_MEAN
+    precise, mean = np.full(count, np.exp(-2 * (terms.gain + prior.GAIN_SIGMA))), np.zeros(count)
+    precise[1:], mean[1:] = prior.HIDDEN_SIGMA**-2, prior.HIDDEN_MEAN
     return precise, mean
 
 
@@ -135,7 +135,7 @@ def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: flo
         if score <= highest:
             break
         best, highest = move, score
-        weight = (DEGREES_OF_FREEDOM + 1) / ((DEGREES_OF_FREEDOM * variance + residual**2) * terms.area)
+        weight = (prior.DEGREES_OF_FREEDOM + 1) / ((prior.DEGREES_OF_FREEDOM * variance + residual**2) * terms.area)
         columns = np.stack([*there[:, 0], np.ones_like(light), -dx, -dy]).reshape(m + 3, -1)
         weighted = columns * weight.ravel()
         normal, pull = (weighted @ columns.T).astype(np.float64), (weighted @ residual.ravel()).astype(np.float64)

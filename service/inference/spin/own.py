@@ -15,8 +15,8 @@ import numpy as np
 from service.inference.belief import Belief
 from service.inference.domain import Domain
 from service.inference.estimate import tangent
+from service.inference.model import prior
 from service.inference.model.dynamics import predicted
-from service.inference.model.prior import BIRTH, EVIDENCE_KEPT, POSE_DEGREES_OF_FREEDOM
 from service.inference.motion import MotionNoise
 from service.inference.numerics.student import scale_of
 from service.inference.pose import exp_so3, multiply, retract
@@ -61,7 +61,7 @@ def _own(belief: Belief, before: Belief | None, noise: MotionNoise, domain: Doma
         if ahead is None or source is None:
             information = _inverse(posterior)
             if ahead is not None:  # a birth is weighed beside the leader
-                log -= ahead.weight_kept * float(ahead.belief.log_weights.max()) + float(np.log(BIRTH))
+                log -= ahead.weight_kept * float(ahead.belief.log_weights.max()) + float(np.log(prior.BIRTH))
         else:
             j, shift = source
             expected = _inverse(ahead.covariance[j])
@@ -95,7 +95,7 @@ def _prediction(before: Belief, dt_s: float, noise: MotionNoise, bootstrap: bool
     if bootstrap:
         return _Ahead(before, dt_s, whole[:, :d, :d] + np.diag(noise.jitter * dt_s + 1e-12), whole, 1.0)
     whole = np.stack([predicted(one, noise, dt_s) for one in whole])
-    return _Ahead(before, dt_s, whole[:, :d, :d], whole, EVIDENCE_KEPT)
+    return _Ahead(before, dt_s, whole[:, :d, :d], whole, prior.EVIDENCE_KEPT)
 
 
 def _source(belief: Belief, k: int, ahead: _Ahead, domain: Domain, bootstrap: bool) -> tuple[int, Array] | None:
@@ -120,7 +120,7 @@ def _scale(covariance: Array, bootstrap: bool) -> Array:
     """Of a belief's covariance: that of a Student t's own matrix, where it was one."""
     if bootstrap:
         return covariance + 1e-12 * np.eye(len(covariance))
-    return scale_of(covariance, POSE_DEGREES_OF_FREEDOM)
+    return scale_of(covariance, prior.POSE_DEGREES_OF_FREEDOM)
 
 
 def _kept_positive(information: Array, posterior: Array) -> Array:
