@@ -29,9 +29,8 @@ def mesh_variance(log_scale: Array, domain: Domain) -> Array:
     error, joints = domain.prior.mesh_error, domain.articulation.joints
     place = prior.MESH_PLACE * error * domain.radius  # model units
     own = [np.rad2deg(prior.MESH_TURN * error) if joint.kind == "revolute" else place for joint in joints]
-    sigma = np.tile(
-        np.array([*(3 * [prior.MESH_TURN * error]), 0.0, 0.0, prior.MESH_GROWTH * error, *own]), (len(log_scale), 1)
-    )
+    each = [*(3 * [prior.MESH_TURN * error]), 0.0, 0.0, prior.MESH_GROWTH * error, *own]
+    sigma = np.tile(np.array(each), (len(log_scale), 1))
     sigma[:, 3:5] = (place * np.exp(log_scale))[:, None]
     return np.asarray(sigma**2)
 

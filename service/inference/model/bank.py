@@ -103,14 +103,14 @@ def looks_beyond(image: Images, sigma: float, unseen: NDArray[np.bool_]) -> Look
     What is seen ends where it ends, so a longer body lies further on towards where the light touches.
     """
     above, _ = _lit(image, sigma)
-    touching = (above > 0) & (cv2.dilate(unseen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+    some = above > 0
+    touching = some & (cv2.dilate(unseen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
     ways: list[tuple[Array, float]] = []
     if touching.any():
-        lit = (above > 0)[None].astype(np.float32)
-        centre, rim = (m[0] for m in T.lit_moments(lit))
+        centre, rim = (m[0] for m in T.lit_moments(some[None].astype(np.float32)))
         towards = T.lit_moments(touching[None].astype(np.float32))[0][0] - centre
         towards /= max(float(np.hypot(*towards)), 1e-6)
-        along = (np.argwhere(above > 0)[:, ::-1] + 0.5 - centre) @ towards
+        along = (np.argwhere(some)[:, ::-1] + 0.5 - centre) @ towards
         middle, long = 0.5 * (along.max() + along.min()), along.max() - along.min()
         for times in _BEYOND:
             there = centre + (middle + 0.5 * (times - 1) * long) * towards
