@@ -11,6 +11,7 @@ from service.bench.brightness import pixels, to_power
 from service.bench.canvas import on_canvas
 from service.bench.cases import Case
 from service.bench.cut import cut_off
+from service.bench.early import begun_early
 from service.bench.guided import by_hand
 from service.inference.params import SessionConfig
 from service.inference.pose import exp_so3, rotation_matrices
@@ -33,6 +34,7 @@ class Told:
     canvas: int | None = None  # the frames lie in the midst of an image of this side, px
     cut: float | None = None  # share of the body that lies beyond the image's lower edge
     guided: int | None = None  # every frame is moved by up to so many px, as by hand
+    early: int | None = None  # frames of empty sky ahead of the pass
     altered: str | None = None  # one of ``altered.ALTERATIONS``: what a program did to the frames, and nobody tells
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
@@ -50,9 +52,11 @@ class Told:
         return config
 
     def shown(self, case: Case) -> Case:
-        """The case as a camera would show it that sees more of the sky or less of the body, or stretches light, and as
-        a program would leave it.
+        """The case as a camera would show it that begins early, sees more of the sky or less of the body, or stretches
+        light, and as a program would leave it.
         """
+        if self.early is not None:
+            case = begun_early(case, self.early)
         if self.canvas is not None:
             case = on_canvas(case, self.canvas)
         if self.cut is not None:

@@ -91,6 +91,7 @@ def track(
         float | None, typer.Option(min=0, max=0.5, help="Frames that end above such a share of the body.")
     ] = None,
     guided: Annotated[int | None, typer.Option(min=1, help="Frames moved by up to so many px, as by hand.")] = None,
+    early: Annotated[int | None, typer.Option(min=1, help="Frames of empty sky ahead of each pass.")] = None,
     untied: Annotated[
         float | None, typer.Option(help="All joints move on their own, each known within so many degrees.")
     ] = None,
@@ -101,7 +102,8 @@ def track(
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    told = Told(not nosun, sun_off, known_range, not own_sky, stretch, not exact_mesh, canvas, cut, guided, altered)
+    seen = (stretch, not exact_mesh, canvas, cut, guided, early, altered)
+    told = Told(not nosun, sun_off, known_range, not own_sky, *seen)
     terms = Terms(limit, settled, told)
     with refusals():
         names, bodies = tuple(case or ()), tuple(mesh or ())

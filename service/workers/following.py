@@ -76,7 +76,7 @@ class Following:
             given_here = Surroundings(*about, job.frame_index, job.time_s, job.held)
             told_of_it = step_before_clutter(rng, job.state, given_here)
             return self._told(job, config, domain, *told_of_it)
-        region = region_of(job.state, job.time_s, mesh.radius, (height, width))
+        region = region_of(job.state, job.time_s, mesh.radius, (height, width), config.prior.mesh_error)
         known = region, lens, known_span(job.state)
         light = LightOfFrame(image.image, sky, image.bits, config.camera.psf_sigma_px, *known)
         bank = partial(self._bank, key, body, told)

@@ -11,6 +11,7 @@ from service.imaging.patch import LANES, Light, Patch, cut, light_of, square_aro
 from service.imaging.pieces import Box, Pieces, find_light, pieces_of, wider
 from service.imaging.psf import estimate_psf_sigma
 from service.imaging.sky import Sky
+from service.inference.filters.status import told_existence
 from service.inference.model import existence
 from service.inference.model.drawing import Lens
 from service.inference.model.prior import CORE_PX
@@ -26,13 +27,15 @@ _WORTH = 0.5  # of the frame's pixels: a region that is larger saves nothing
 """Numerical: where the object is not found in its region, the whole frame is looked at."""
 
 
-def region_of(state: FilterState | None, time_s: float, radius: float, shape: tuple[int, int]) -> Region | None:
-    """Where the heaviest mode of a track should be in a frame of (H, W) pixels; None: anywhere.
+def region_of(
+    state: FilterState | None, time_s: float, radius: float, shape: tuple[int, int], mesh_error: float = 0.0
+) -> Region | None:
+    """Where the heaviest mode of a track should be in a frame of (H, W) pixels; None: anywhere, as while it is doubted.
 
-    ``radius`` of the body, model units.
+    ``radius`` of the body, model units; ``mesh_error``: ``PriorParams``.
     """
     held = None if state is None else state.mixture
-    if state is None or held is None or held.existence[existence.FITS] < 0.5:
+    if state is None or held is None or told_existence(held, mesh_error)[existence.FITS] < 0.5:
         return None
     lead, dt_s = int(np.argmax(held.log_weights)), max(time_s - state.time_s, 0.0)
     centre = held.poses.position[lead] + held.rates[lead, 3:5] * dt_s

@@ -2,7 +2,8 @@
 
 FITS counts rows from the bottom; this program, like most cameras, from the top. So rows are turned round, unless the
 header says ``ROWORDER = 'TOP-DOWN'``, as capture programs do that write them as the sensor gives them. A third axis
-of three is colour, unless CTYPE3 speaks of time; any other is a sequence of frames.
+of three is colour, unless CTYPE3 speaks of time; any other is a sequence of frames. A raw colour sensor's mosaic
+(BAYERPAT) becomes grey.
 """
 
 from __future__ import annotations
@@ -24,11 +25,13 @@ from service.imaging.formats.fits_header import read_header_facts
 from service.imaging.frame import Frame, as_frame
 from service.imaging.headers import broken
 from service.imaging.limits import RATIO_FROM_BYTES, ImageLimits
+from service.imaging.mosaic import without_mosaic
 
 _GZIP = b"\x1f\x8b"
 _BYTES_PER_PIXEL = 8  # numerical: of a decoded one, at the most
 _HEADROOM = 1 << 24  # numerical: headers and tables beside the pixels
 _TOP_DOWN = "TOP-DOWN"
+_MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")  # format: values of BAYERPAT
 _BLOCK = 2880  # format: FITS
 _END = b"END".ljust(80)  # format: FITS
 _HEADER_STARTS = (b"SIMPLE  =", b"XTENSION=")
@@ -45,6 +48,8 @@ def read_fits(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
         images = np.moveaxis(data, 1, -1) if colour else data
         if not _top_down(header):
             images = images[:, ::-1]
+        if not colour and _is_mosaic(header):
+            images = np.stack([without_mosaic(image) for image in images])
         facts = _facts(header, shape)
         return [as_frame(image, facts if k == 0 else _later(facts)) for k, image in enumerate(images)]
 
@@ -130,6 +135,10 @@ def _is_colour(shape: tuple[int, ...], header: fits.Header) -> bool:
 
 def _count(shape: tuple[int, ...], colour: bool) -> int:
     return int(np.prod(shape[: -3 if colour else -2], dtype=np.int64))
+
+
+def _is_mosaic(header: fits.Header) -> bool:
+    return str(header.get("BAYERPAT", "")).strip().upper() in _MOSAICS
 
 
 def _top_down(header: fits.Header) -> bool:

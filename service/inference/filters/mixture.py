@@ -251,7 +251,7 @@ def prune(updated: Updated, before: Mixture | None, found: Found | None, given: 
     parts = 0 if before is None or another else before.parts_searched
     whole = part is not None and part.is_last
     if another and before is not None and before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
-        misses += searches  # are now known to have missed the truth
+        misses += round(searches * existence.share_met(before.searched_nats))  # should have met the truth
     return Mixture(
         poses=concatenate(*[updated.refined[k].pose for k in kept]),
         rates=updated.rates[kept],

@@ -15,18 +15,21 @@ from service.inference.state import Array, Mixture, Poses
 from service.inference.symmetry import Symmetry, twin
 
 SURE = 0.9  # contract: probability from which on an answer is told as one
+_NOTHING = 1e-300  # numerical: divides nothing by nothing
 _EQUIVALENT_DEG = 5.0  # contract: modes whose rotations are nearer are one answer
 
 
 def told_existence(mixture: Mixture, mesh_error: float = 0.0) -> Array:
     """(3,) probabilities: what no search may have met is nothing that the modes explain, nor is another body, nor what
-    a cloud makes of one. ``mesh_error``: ``PriorParams``.
+    a cloud makes of one; it is something as probably as the frame shows anything at all. ``mesh_error``:
+    ``PriorParams``.
     """
     absent, fits, no_fit = mixture.existence
     met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
     kept = fits * met * existence.of_this_body(mixture.discrepancy, mesh_error)
     kept *= 1.0 if mixture.displaced is None else 1 - mixture.displaced.probability
-    return np.array([absent, kept, no_fit + fits - kept])
+    empty = (fits - kept) * absent / max(absent + no_fit, _NOTHING)
+    return np.array([absent + empty, kept, no_fit + fits - kept - empty])
 
 
 def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> str:

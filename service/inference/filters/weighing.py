@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from service.inference.domain import Domain
 from service.inference.estimate import short_way, tangent
 from service.inference.filters.given import Given, Predicted, Updated
+from service.inference.filters.status import told_existence
 from service.inference.mesh_error import evidence_trust
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import turned_alike
@@ -44,6 +45,15 @@ class Weighed:
     paint: Array  # (2, P) that was expected
 
 
+@dataclass(frozen=True)
+class Usual:
+    """What earlier frames say of a body's light, and of what it leaves over."""
+
+    log_light: float | None
+    log_chi2: Array  # (2,) mean and variance
+    answered: float  # probability that it was this body's
+
+
 def weigh(
     refined: list[Refined],
     ahead: Predicted | None,
@@ -57,7 +67,7 @@ def weigh(
     """All modes with what the frame says of them, and of whether any of them is true."""
     modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
     lead = max(modes, key=lambda mode: mode.log_weight, default=None)
-    trust = evidence_trust(given.domain)
+    trust, usual = evidence_trust(given.domain), usual_of(before, given.domain.prior.mesh_error)
     level, afresh = None, -np.inf  # weight of no evidence in this frame; evidence of the leader were its paint unknown
     other, looks = neighbour(nuisance, given.index, hill.scene.hidden), (-np.inf, -np.inf, -np.inf)
     new = newborn(refined, ahead, found, given)
@@ -82,7 +92,7 @@ def weigh(
     afresh, unlike, elsewhere = max(afresh, looks[0]), looks[1], looks[2]
     explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance, hill)
     light = existence.log_light(hill, best.one.fit)
-    probabilities = hypotheses(best, (absent, afresh, unlike), light, ahead, before)
+    probabilities = hypotheses(best, (absent, afresh, unlike), light, ahead, usual)
     fits = float(probabilities[existence.FITS])
     better = elsewhere + log_prior(other, hill) > best.one.fit.log_evidence + log_prior(nuisance, hill)
     better = better and lets_through(hill, other)
@@ -94,12 +104,12 @@ def weigh(
         log_weights=np.array([mode.log_weight for mode in modes]),
         existence=probabilities,
         nuisance=other if better else nuisance,
-        log_chi2=existence.usual_chi2(log_chi2_before(before), best.one.fit.chi2, fits),
-        log_light=existence.usual_light(None if before is None else before.log_light, light, fits),
+        log_chi2=existence.usual_chi2(usual.log_chi2, best.one.fit.chi2, fits),
+        log_light=existence.usual_light(usual.log_light, light, fits),
         nats=explained - absent,
         hidden=existence.hidden_share(hill, best.one.fit),
         n_followed=len(refined),
-        disturbed=0.0 if ahead is None else come_between(modes, best, hill, other, ahead, before),
+        disturbed=0.0 if ahead is None or before is None else come_between(modes, best, hill, other, ahead, before),
     )
 
 
@@ -152,7 +162,7 @@ def hypotheses(
     evidences: tuple[float, float, float],
     light: float,
     ahead: Predicted | None,
-    before: Mixture | None,
+    usual: Usual,
 ) -> Array:
     """(3,) probabilities of ``model.existence``, as if the truth were among the modes.
 
@@ -160,19 +170,21 @@ def hypotheses(
     asks for other paint than the body has, or goes out, is explained by something that is between, or by another body.
     ``light``: log of the body's whole light.
     """
-    start = existence.expected(None, 0.0) if ahead is None else ahead.existence
+    start = existence.expected(None, 0.0)
+    if ahead is not None:
+        start = usual.answered * ahead.existence + (1 - usual.answered) * start
     fit = best.one.fit
-    usual = existence.log_of_change(None if before is None else before.log_light, light)
+    changed = existence.log_of_change(usual.log_light, light, usual.answered)
     absent, afresh, unlike = evidences
-    fits = fit.log_evidence + best.occam + usual
+    fits = fit.log_evidence + best.occam + changed
     between = max(fit.log_evidence, afresh, unlike) + best.occam
     logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, between)])
-    logs[existence.NO_FIT] += existence.log_of_disturbance(fit.chi2, log_chi2_before(before))
+    logs[existence.NO_FIT] += existence.log_of_disturbance(fit.chi2, usual.log_chi2)
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
 
 
 def come_between(
-    modes: list[Weighed], best: Weighed, hill: Hill, other: Nuisance, ahead: Predicted, before: Mixture | None
+    modes: list[Weighed], best: Weighed, hill: Hill, other: Nuisance, ahead: Predicted, before: Mixture
 ) -> float:
     """Probability that something has come between, were the answer right that was the last; 0 where it still leads."""
     answer = modes[int(np.argmax(ahead.log_weights))]
@@ -180,13 +192,20 @@ def come_between(
         return 0.0
     afresh, unlike, _ = looks_at(answer, hill, other)
     light = existence.log_light(hill, answer.one.fit)
-    _, fits, no_fit = hypotheses(answer, (-np.inf, afresh, unlike), light, ahead, before)
+    usual = Usual(before.log_light, before.log_chi2, 1.0)
+    _, fits, no_fit = hypotheses(answer, (-np.inf, afresh, unlike), light, ahead, usual)
     return float(no_fit / (fits + no_fit))
 
 
-def log_chi2_before(before: Mixture | None) -> Array:
-    """(2,) mean and variance of the log of what the body has left over until now."""
-    return existence.usual_chi2() if before is None else before.log_chi2
+def usual_of(before: Mixture | None, mesh_error: float) -> Usual:
+    """What earlier frames say, as far as what they were explained with was this body: a star, a bird, a pose that was
+    wrong tell nothing of it.
+    """
+    if before is None:
+        return Usual(None, existence.usual_chi2(), 0.0)
+    fits = float(told_existence(before, mesh_error)[existence.FITS])
+    answered = min(max(fits, before.answered), 1 - prior.ANSWER_WRONG)
+    return Usual(before.log_light, existence.level_if(before.log_chi2, answered), answered)
 
 
 def newborn(

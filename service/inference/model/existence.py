@@ -55,13 +55,16 @@ def log_light(hill: Hill, fit: Fit) -> float:
     return float(np.log(max(float(np.sum(fit.light)), hill.scene.sigma))) + 2 * float(np.log(hill.view.binning))
 
 
-def log_of_change(before: float | None, now: float) -> float:
+def log_of_change(before: float | None, now: float, answered: float = 1.0) -> float:
     """Log density of a body's light after what it was, over that of the gain's own prior, which is as good as flat: it
     seldom goes out.
+
+    ``answered``: probability that what it was is this body's; else it says nothing.
     """
-    if before is None:
+    if before is None or answered <= 0:
         return 0.0
-    return float(np.log(prior.GAIN_SIGMA / prior.FADES)) - 0.5 * ((now - before) / prior.FADES) ** 2
+    change = float(np.log(prior.GAIN_SIGMA / prior.FADES)) - 0.5 * ((now - before) / prior.FADES) ** 2
+    return float(np.logaddexp(np.log(answered) + change, np.log1p(-answered))) if answered < 1 else change
 
 
 def usual_light(before: float | None, now: float, fits: float) -> float:
@@ -100,6 +103,13 @@ def usual_chi2(before: Array | None = None, chi2: float = 1.0, fits: float = 0.0
     return np.array([mean, variance + prior.LOG_CHI2_DRIFT**2])
 
 
+def level_if(level: Array, answered: float) -> Array:
+    """(2,) mean and variance of the level if ``level`` is this body's with a probability, else as of any body's."""
+    both, weights = np.stack([level, usual_chi2()]), np.array([answered, 1 - answered])
+    mean = float(weights @ both[:, 0])
+    return np.array([mean, weights @ (both[:, 1] + (both[:, 0] - mean) ** 2)])
+
+
 def missed(searches: int, misses: int = 0, *, nats: float) -> float:
     """Probability that the truth was met by none of so many searches that found nothing better.
 
@@ -107,13 +117,13 @@ def missed(searches: int, misses: int = 0, *, nats: float) -> float:
     best mode against the empty sky in the frames that were searched, their mean: where it is little, much else explains
     such a frame as well.
     """
-    share = _met(nats)
+    share = share_met(nats)
     a, b = (max(prior.SEARCH_WEIGHT * part, 1e-3) for part in (share, 1 - share))  # a Beta law has no ends at zero
     return float(np.exp(betaln(a, b + misses + searches) - betaln(a, b + misses)))
 
 
-def _met(nats: float) -> float:
-    """Share of searches that meet the truth, from body to body in the mean."""
+def share_met(nats: float) -> float:
+    """Share of searches that meet a truth of such evidence against the empty sky, from body to body in the mean."""
     return 1 / (1 + (prior.SEARCH_HALF / max(nats, 1.0)) ** 2)
 
 
@@ -121,7 +131,7 @@ def nats_of_search(nats: float, hidden: float) -> float:
     """Nats of a whole body that searches meet as often as one of which a share of the light is ``hidden``."""
     if hidden == 0:
         return nats
-    share = (1 - prior.HIDDEN_MISSED * hidden) * _met(nats)
+    share = (1 - prior.HIDDEN_MISSED * hidden) * share_met(nats)
     return prior.SEARCH_HALF * float(np.sqrt(share / (1 - share)))
 
 

@@ -8,6 +8,7 @@ import pytest
 from service.bench.brightness import pixels
 from service.bench.canvas import framed, on_canvas
 from service.bench.cut import cut_off
+from service.bench.early import begun_early
 from service.bench.folder import SequenceError
 from service.bench.guided import by_hand
 from service.bench.sky_bench import bench_sky, sky_document, sky_table
@@ -64,6 +65,21 @@ def test_a_pass_that_is_guided_by_hand(case_of, satellite, truth):
     assert len(np.unique(moves, axis=0)) > 10
     repeated = [told.position - at.position for _, told in by_hand(case, 40).frames()]
     np.testing.assert_array_equal(repeated, moves)
+
+
+def test_a_pass_whose_frames_begin_before_the_body_comes(case_of, satellite, truth):
+    """Its own empty frames, that tell its sky no more."""
+    images = [encode_png(np.full((64, 64), k, np.uint8)) for k in range(6)]
+    seen = [(images[4 + k], replace(truth, time_s=3.0 + 0.5 * k)) for k in range(2)]
+    case = replace(case_of(satellite), backgrounds=lambda: images[:4], frames=lambda: iter(seen))
+    early = begun_early(case, 3)
+    assert list(early.backgrounds()) == images[3:4]
+    told = [truth for _, truth in early.frames()]
+    assert [body for body, _ in early.frames()] == [*images[:3], *images[4:]]
+    assert [one.visible for one in told] == [False] * 3 + [True] * 2
+    np.testing.assert_allclose([one.time_s for one in told], 3.0 + 0.5 * np.arange(5))
+    with pytest.raises(SequenceError, match="4 empty frames"):
+        begun_early(case, 4)
 
 
 def test_a_pass_of_which_the_edge_cuts_the_body(case_of, satellite, truth):

@@ -42,6 +42,21 @@ def test_rows_that_are_top_down_stay():
     np.testing.assert_array_equal(frame.image, DEEP)
 
 
+@pytest.mark.parametrize("pattern", ["RGGB", "GBRG"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_raw_mosaic_becomes_the_mean_of_its_filters(pattern, dtype):
+    """However its rows are counted; and so finely that eight bits do not step."""
+    x, y = np.meshgrid(np.linspace(0.2, 0.7, 50), np.linspace(0.1, 0.3, 40))
+    filters = np.tile([[0.5, 1.0], [1.0, 0.3]], (20, 25))
+    light = np.iinfo(dtype).max * (x + y)
+    frame = decode_frame(written((light * filters).astype(dtype), {"BAYERPAT": pattern, "ROWORDER": "TOP-DOWN"}), FITS)
+    assert (frame.bits, frame.channels) == (16, 1)
+    off = frame.image / 65_535 / (0.7 * (x + y))
+    assert np.abs(off - 1)[2:-2, 2:-2].max() < 0.02
+    plain = decode_frame(written((light * filters).astype(dtype), {"BAYERPAT": "", "ROWORDER": "TOP-DOWN"}), FITS)
+    np.testing.assert_array_equal(plain.image, (light * filters).astype(dtype))
+
+
 @pytest.mark.parametrize("compression", ["RICE_1", "GZIP_1", "GZIP_2"])
 def test_compressed_tiles(compression):
     body = written(DEEP[::-1], kind=fits.CompImageHDU, compression_type=compression)
