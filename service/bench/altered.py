@@ -27,6 +27,7 @@ _SHARPENED, _SHARPENED_PX = 1.5, 2.0  # unsharp mask: how much, and of what is f
 _BLACK = 2.0  # black point: so many of its noise above the sky
 _FULL, _LIT = 0.5, 6.0  # share of what is lit, so many of its noise above the sky, at which a sensor is full
 _POWER = 0.45  # of light, as videos have it
+_GAIN = 2.0  # of the later half
 _STEP = 4  # counts of eight bits, 16 times as many of sixteen
 _BARS, _SHAKEN = 0.15, 0.05  # of the height, of the shorter side: black bars, and how far a window moves
 _CODEC, _PER_S = "mp4v", 25.0
@@ -120,6 +121,12 @@ def _gamma(images: Sequence[Pixels]) -> list[Pixels]:
     return [to_power(image, _POWER) for image in images]
 
 
+def _gain(images: Sequence[Pixels]) -> list[Pixels]:
+    """A camera that sets its gain, or its exposure, anew in the middle: light, sky and noise."""
+    half = len(images) // 2
+    return [*images[:half], *(counts(_GAIN * image.astype(np.float32), image) for image in images[half:])]
+
+
 def _steps(images: Sequence[Pixels]) -> list[Pixels]:
     step = [_STEP if image.dtype == np.uint8 else 16 * _STEP for image in images]
     return [counts(one * np.rint(image / one), image) for one, image in zip(step, images, strict=True)]
@@ -166,6 +173,7 @@ ALTERATIONS: dict[str, Callable[[Sequence[Pixels]], list[Pixels]]] = {
     "black": _black,
     "full": _full,
     "gamma": _gamma,
+    "gain": _gain,
     "steps": _steps,
     "bars": _bars,
     "stabilised": _stabilised,

@@ -39,7 +39,7 @@ Materials = Annotated[str | None, typer.Option(help="Of simulated passes: painte
 Root = Annotated[Path | None, typer.Option("--meshes", help="Where the sequences' meshes lie, if not beside them.")]
 Settled = Annotated[int, typer.Option("--from", min=0, help="Visible frames that count for acquisition only.")]
 Alteration = Literal[
-    "jpeg", "video", "denoised", "sharpened", "black", "full", "gamma", "steps", "bars", "stabilised", "clock"
+    "jpeg", "video", "denoised", "sharpened", "black", "full", "gamma", "gain", "steps", "bars", "stabilised", "clock"
 ]
 Set = Annotated[list[str] | None, typer.Option("--set", help="SECTION.NAME=VALUE for all sessions; may be repeated.")]
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from service.imaging.full import upper_end
 from service.imaging.margins import either, margins_under
+from service.imaging.noise import checkerboard, louder, loudness, weights
 from service.imaging.own_sky import fitted
 from service.imaging.sky import Sky
 
@@ -91,8 +92,7 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     rows, columns = region or (slice(0, image.shape[0]), slice(0, image.shape[1]))
     whole = image[..., None] if image.ndim == 2 else image
     data, mean = np.asarray(whole[rows, columns], np.float32), sky.mean[rows, columns]
-    weight = 1.0 / np.diag(sky.covariance)
-    weight /= weight.sum()
+    weight = weights(sky.covariance)
     share = weight.astype(np.float32)
     sigma = float(np.sqrt(weight @ sky.covariance @ weight))
     above = _weighed(data - mean, share)
@@ -103,8 +103,13 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
         above[unseen] = 0.0
         data = np.where(unseen[..., None], mean, data)
     full = np.any(data >= upper_end(data, mean, sky.sigma, sky.step, (1 << bits) - 1), axis=2)
-    photon = _photon_transfer(above, sigma, full)
+    fine, local = checkerboard(above), np.asarray(cv2.GaussianBlur(above, (0, 0), _LOCAL_PX), np.float32)
     every = _thinned(above.size)
+    empty = np.abs(local[::every, ::every]) <= _BRIGHT_SIGMAS * sigma
+    empty = empty if unseen is None else empty & ~unseen[::every, ::every]
+    shown = fine[::every, ::every][empty]
+    sigma *= louder(loudness(shown) / sigma, sky.fine, len(shown))
+    photon = _photon_transfer(fine, local, sigma, full)
     level = max(float(np.median(_weighed(mean[::every, ::every], share))), 0.0)
     return Light(above, sigma, photon, level, full, (columns.start, rows.start), unseen=unseen)
 
@@ -154,14 +159,13 @@ def _plane_of(shape: tuple[int, ...], every: int) -> tuple[Map, Map, Map, NDArra
     return across, down, np.stack([np.ones_like(x), x, y]), edge
 
 
-def _photon_transfer(above: Map, sigma: float, full: NDArray[np.bool_]) -> float:
-    """Variance per count of light, from the finest checkerboard, to which the point spread lets little through.
+def _photon_transfer(fine: Map, local: Map, sigma: float, full: NDArray[np.bool_]) -> float:
+    """Variance per count of light, from the finest checkerboard, to which the point spread lets little through, and the
+    level of light about it.
 
     Edges leak into it, so its lower quartile is believed (0.1015 of a Gaussian's variance); ``full`` pixels have none.
     Where the frame has too little light to tell, a thousandth of the sky's own noise.
     """
-    fine = cv2.filter2D(above, cv2.CV_32F, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6.0)
-    local = cv2.GaussianBlur(above, (0, 0), _LOCAL_PX)
     bright = local > _BRIGHT_SIGMAS * sigma
     if full.any():
         bright &= cv2.dilate(full.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0

@@ -15,6 +15,7 @@ from service.imaging.clutter import Box, cluttered_box
 from service.imaging.features import FeatureSpec, feature_spec
 from service.imaging.frame_median import median_of
 from service.imaging.margins import either, margins_of
+from service.imaging.noise import SQUARE, as_loud_as, from_pixel_to_pixel, noise_of, over_squares, sigmas
 from service.imaging.own_sky import (
     OF_A_NORMAL,
     OUTLIER_SIGMAS,
@@ -26,14 +27,9 @@ from service.imaging.own_sky import (
 )
 
 _HOT_SIGMAS = 6.0  # prior: above a smooth sky: a hot pixel
-_LEAST_SIGMA = 0.3  # exact: counts: quantisation alone has 0.29
-_SQUARE, _CHANCE = 8, 6.0  # prior: px that noise may be alike over; standard deviations that chance does not reach
-_LOUD, _BEYOND = 0.98, 1.5  # prior: of squares: more are full of stars; of white noise less than four sigma
-_EVEN = 4.0  # prior: sigmas between a square's quartiles: white noise has 1.3, a text many
 _GLYPH_PX = 9  # prior: strokes of a clock's digits lie no further apart
 STAR_PX = 11  # prior: extent of a bright star above the threshold
 _ONCE = 2  # exact: changes of what comes and goes once
-_PLANE = 3  # exact: numbers of a frame's own plane, which its squares no longer have
 _SAMPLE = 32_768  # numerical: pixels of a frame that tell its level, and noise to half a percent
 _TOLD_BY = 64  # prior: counts above the least that tell by which step they go: no stars' alone
 _ALIKE = 0.2  # prior: of neighbours that chance would leave different: more are so by compression
@@ -52,6 +48,7 @@ class Sky:
     clutter: Box | None = None  # in which the body was told to lie, where there is more than sky about it
     unsure: NDArray[np.bool_] | None = None  # (H, W) where a clock changes, or nothing was shown; None: nowhere
     step: int = 1  # by which counts go: 16 where a camera of 12 bits fills 16
+    fine: float = 1.0  # its noise from pixel to pixel, in that of a pixel: of white noise 1; 0: none shows
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -86,20 +83,21 @@ def derive(background: Background, feature: str, gradient_sigma_px: float) -> Sk
     middle = mean
     smooth = np.stack([_smooth_sky(mean[..., c]) for c in range(channels)], axis=-1) if few else mean
     residual = frames[:, *some] - smooth[some]
-    noise = _noise(residual[:, known[some]])
-    noise = _as_loud_as(noise, sigma_behind_black(sample // step, known[some]))
+    noise = noise_of(residual[:, known[some]])
+    noise = as_loud_as(noise, sigma_behind_black(sample // step, known[some]))
     if few:
         mean = _with_hot(smooth, mean, frames, noise) if len(frames) > 2 else smooth
-    noise = _over_squares(residual, known[some], noise)
+    noise = over_squares(residual, known[some], noise)
+    rounded = noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0))  # below half a step quantisation is the noise
     return Sky(
         np.ascontiguousarray(step * (mean + median_of(planes)), dtype=np.float32),
-        # below half a step quantisation is the noise
-        step**2 * (noise + np.diag(np.maximum(0.25 - np.diag(noise), 0.0))),
+        step**2 * rounded,
         np.log(density),
         spec,
         cluttered_box(background.frames[-1], known),
         either(_unsure(frames, middle, smooth, noise), never if never.any() else None),
         step,
+        from_pixel_to_pixel(residual, known[some], rounded),
     )
 
 
@@ -135,7 +133,7 @@ def _squares(known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.int
     """
     every = max(1, round(np.sqrt(known.size / _SAMPLE)))
     rows, columns = (np.arange(size) for size in known.shape)
-    some = [at[(at // _SQUARE % every == 0) & (at < len(at) - len(at) % _SQUARE)] for at in (rows, columns)]
+    some = [at[(at // SQUARE % every == 0) & (at < len(at) - len(at) % SQUARE)] for at in (rows, columns)]
     if every > 1 and int(known[np.ix_(*some)].sum()) >= min(int(known.sum()), _SAMPLE) / 4:
         return some[0][:, None], some[1][None]
     return rows[:, None], columns[None]
@@ -149,7 +147,7 @@ def _with_hot(
     Where a telescope follows its object stars pass, and are gone when it is there; hot pixels stay.
     """
     stands = mean - smooth
-    hot = np.abs(stands) > _HOT_SIGMAS * _sigmas(noise)
+    hot = np.abs(stands) > _HOT_SIGMAS * sigmas(noise)
     above = (frames[:, hot] - smooth[hot]) * np.sign(stands[hot])
     hot[hot] = (above > 0.5 * np.abs(stands[hot])).all(axis=0)
     return np.where(hot, mean, smooth)
@@ -172,73 +170,6 @@ def _planes(
     return np.asarray((level + right * across[:, None]) + below * down[:, None, None], np.float32)
 
 
-def _noise(residual: NDArray[np.float32], loud: NDArray[np.float32] | float = 0.0) -> NDArray[np.float64]:
-    """(K, M, C) -> (C, C) covariance of what lies within four of the robust deviations, or is no more than ``loud``.
-
-    The median absolute deviation alone is a step function of the noise where counts are whole numbers: up to a
-    fifth off at two counts.
-    """
-    robust = OF_A_NORMAL * np.median(np.abs(residual), axis=(0, 1))
-    inside = np.abs(residual) <= np.maximum(OUTLIER_SIGMAS * np.maximum(robust, 0.5), loud)
-    seen = np.where(inside, residual, 0.0).reshape(-1, residual.shape[2]).astype(np.float64)
-    both = inside.reshape(seen.shape).astype(np.float64)
-    return np.asarray(seen.T @ seen / np.maximum(1.0, both.T @ both))
-
-
-def _as_loud_as(noise: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(C, C) the same with (C,) standard deviations at the least, and as alike between the channels."""
-    now = np.sqrt(np.diag(noise))
-    alike = noise / np.maximum(np.outer(now, now), 1e-12)
-    np.fill_diagonal(alike, 1.0)
-    louder = np.maximum(now, sigma)
-    return np.asarray(alike * np.outer(louder, louder))
-
-
-def _sigmas(noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(C,) of a pixel, of a covariance; that of rounding at the least."""
-    return np.maximum(np.sqrt(np.diag(noise)), _LEAST_SIGMA)
-
-
-def _over_squares(
-    residual: NDArray[np.float32], known: NDArray[np.bool_], noise: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """``noise`` (C, C) of a pixel, or of white noise that is as loud over squares, where that is more than chance.
-
-    Noise of enlarged, stacked or filtered images is alike in neighbours. As light is as smooth there, white noise that
-    is as loud over a square says what such an image can tell. Of images that were compressed most of the sky is one
-    value, and the rest is off by whole squares, often by the same from frame to frame: no pixel's noise shows it, and
-    no difference of frames. What white noise would do is told by as many pixels from all over.
-    """
-    n, height, width, channels = residual.shape
-    rows, columns, pixels = height // _SQUARE, width // _SQUARE, _SQUARE**2
-    shape = (n, rows, _SQUARE, columns, _SQUARE, channels)
-    whole = known[: rows * _SQUARE, : columns * _SQUARE].reshape(shape[1:5]).all(axis=(1, 3))
-    count = int(np.count_nonzero(whole))
-    if count <= _PLANE:
-        return noise
-    squares = residual[:, : rows * _SQUARE, : columns * _SQUARE].reshape(shape).swapaxes(2, 3)[:, whole]
-    together = squares.reshape(n, count, pixels, channels)
-    apart = squares.reshape(n, pixels, count, channels).swapaxes(1, 2)
-    loud, white = (_loudness(one, _sigmas(noise)) for one in (together, apart))
-    loud *= count / (count - _PLANE)
-    chance = _CHANCE * np.sqrt(2 / (n * count))
-    return loud if np.trace(loud) > max((1 + chance) * np.trace(white), np.trace(noise)) else noise
-
-
-def _loudness(groups: NDArray[np.float32], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(K, M, P, C) pixels -> (C, C) covariance of white noise whose means over P are as loud as those of the groups'
-    middle halves, in which there is no star. ``sigma`` (C,) of a pixel: where these differ by more it is no sky.
-    """
-    pixels = groups.shape[2]
-    quarter = pixels // 4
-    middle = np.sort(groups, axis=2)[:, :, quarter:-quarter]
-    even = (middle[:, :, -1] - middle[:, :, 0] <= _EVEN * sigma).all(axis=2)
-    if not even.any():
-        return np.zeros((len(sigma), len(sigma)))
-    means = np.float32(np.sqrt(pixels)) * middle.mean(axis=2)[even][None]
-    return _noise(means, _BEYOND * np.quantile(np.abs(means), _LOUD, axis=(0, 1)).astype(np.float32))
-
-
 def _unsure(
     frames: NDArray[np.float32], middle: NDArray[np.float32], smooth: NDArray[np.float32], noise: NDArray[np.float64]
 ) -> NDArray[np.bool_] | None:
@@ -247,7 +178,7 @@ def _unsure(
     A star comes and goes once, and where it twinkles it is no wider than a star. What stands out of the sky and touches
     such a place may change next: the clock's hours.
     """
-    least = _HOT_SIGMAS * _sigmas(noise).astype(np.float32)
+    least = _HOT_SIGMAS * sigmas(noise).astype(np.float32)
     off = [(np.abs(frame - middle) > least).any(axis=2) for frame in frames]
     often = np.sum([now != before for before, now in pairwise(off)], axis=0, dtype=np.uint8)
     comes_and_goes = often > _ONCE

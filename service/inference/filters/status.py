@@ -25,11 +25,16 @@ def told_existence(mixture: Mixture, mesh_error: float = 0.0) -> Array:
     ``PriorParams``.
     """
     absent, fits, no_fit = mixture.existence
-    met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    kept = fits * met * existence.of_this_body(mixture.discrepancy, mesh_error)
-    kept *= 1.0 if mixture.displaced is None else 1 - mixture.displaced.probability
+    kept = fits * found_share(mixture, mesh_error)
     empty = (fits - kept) * absent / max(absent + no_fit, _NOTHING)
     return np.array([absent + empty, kept, no_fit + fits - kept - empty])
+
+
+def found_share(mixture: Mixture, mesh_error: float = 0.0) -> float:
+    """Probability that what leads is this body at its pose, whatever may be between just now."""
+    met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
+    displaced = 0.0 if mixture.displaced is None else mixture.displaced.probability
+    return float(met * existence.of_this_body(mixture.discrepancy, mesh_error) * (1 - displaced))
 
 
 def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> str:

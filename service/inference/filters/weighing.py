@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from service.inference.domain import Domain
 from service.inference.estimate import short_way, tangent
 from service.inference.filters.given import Given, Predicted, Updated
-from service.inference.filters.status import told_existence
+from service.inference.filters.status import found_share
 from service.inference.mesh_error import evidence_trust
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import turned_alike
@@ -203,8 +203,7 @@ def usual_of(before: Mixture | None, mesh_error: float) -> Usual:
     """
     if before is None:
         return Usual(None, existence.usual_chi2(), 0.0)
-    fits = float(told_existence(before, mesh_error)[existence.FITS])
-    answered = min(max(fits, before.answered), 1 - prior.ANSWER_WRONG)
+    answered = min(found_share(before, mesh_error), 1 - prior.ANSWER_WRONG)
     return Usual(before.log_light, existence.level_if(before.log_chi2, answered), answered)
 
 

@@ -73,7 +73,7 @@ def test_channels_are_weighed_by_their_precision():
 
 def test_noise_that_channels_have_in_common_is_counted_once():
     """As of a grey video decoded to colours."""
-    seen = sky([4.0, 4.0, 4.0])
+    seen = replace(sky([4.0, 4.0, 4.0]), fine=0.0)  # no frame tells
     alike = replace(seen, covariance=np.full((3, 3), 16.0))
     image = np.repeat(100 + 4 * noise()[..., None], 3, axis=2)
     assert light_of(image, seen, 16).sigma == pytest.approx(4 / np.sqrt(3))

@@ -54,11 +54,12 @@ def test_a_level_that_may_be_anothers_has_the_moments_of_both_laws():
     assert existence.level_if(level, 0.0) == pytest.approx(prior_level)
 
 
-def test_what_was_learnt_counts_while_it_is_told_and_as_it_was_last_told_once_it_fits_no_more():
-    sure, lost = mixture(), replace(mixture(existence=(0.0, 0.1, 0.9)), answered=0.8)
-    assert usual_of(sure, 0.0).answered == pytest.approx(told_existence(sure)[existence.FITS])
-    assert usual_of(lost, 0.0).answered == 0.8
-    assert usual_of(replace(sure, answered=1.0), 0.0).answered == 1 - prior.ANSWER_WRONG
+def test_what_was_learnt_counts_as_it_is_likely_that_it_was_this_body_whatever_is_between_now():
+    clear, clouded = mixture(), mixture(existence=(0.0, 0.1, 0.9))
+    assert usual_of(clouded, 0.0).answered == usual_of(clear, 0.0).answered > 0.9
+    assert usual_of(replace(clear, searched_nats=10.0), 0.0).answered < 0.1
+    assert usual_of(mixture(discrepancy=0.064), 0.0).answered < 0.1
+    assert usual_of(mixture(searches=900), 0.0).answered == 1 - prior.ANSWER_WRONG
     assert usual_of(None, 0.0).log_light is None
 
 

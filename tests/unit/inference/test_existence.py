@@ -50,7 +50,6 @@ def told(gain: float, k: int) -> tuple[bool, float]:
         poses=truth(0),
         covariance=np.diag(np.concatenate([prior.MEMORY_KEPT * WIDE**2, np.full(6, 1e-4)]))[None],
         log_light=float(np.log(usual_light(gain))),
-        answered=1.0,
         point_spread=np.array([1.3, 0.0]),
         span_px=52.0,
     )
