@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.inference.filters.given import Updated
-from service.inference.filters.status import told_existence
+from service.inference.filters.status import found_share
 from service.inference.model import existence
 from service.inference.model.spread import PointSpread
 from service.inference.model.stages import WHOLE, Part
@@ -27,7 +27,8 @@ _FRAMES_A_PART, _MOST_PARTS = 3, 12
 
 def is_doubted(mixture: Mixture, mesh_error: float = 0.0) -> bool:
     """Whether the light that is seen is rather something else's, or the truth is not among the modes."""
-    return bool(told_existence(mixture, mesh_error)[existence.NO_FIT] >= 0.5)
+    _, fits, no_fit = mixture.existence
+    return bool(no_fit + fits * (1 - found_share(mixture, mesh_error)) >= 0.5)
 
 
 def explains(mixture: Mixture) -> bool:

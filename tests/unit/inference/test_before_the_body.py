@@ -9,6 +9,7 @@ import pytest
 from held_mixture import mixture
 from test_light_filter import SIGMA, SIZE, Drawn, advance, error_deg, frame, given
 
+from service.inference.filters.effort import is_doubted
 from service.inference.filters.status import status_of, told_existence
 from service.inference.filters.weighing import usual_of
 from service.inference.model import existence, prior
@@ -75,6 +76,7 @@ def test_what_no_search_may_have_met_is_something_as_probably_as_anything_shows(
     held = replace(mixture(existence=shares), searched_nats=nats)
     assert status_of(held, (), given(frame(0), 0).domain) == status
     assert told_existence(held).sum() == pytest.approx(1.0) and (told_existence(held) >= 0).all()
+    assert is_doubted(held) == (status != "tracking")  # and searched on, whatever it is told as
 
 
 def test_while_it_is_doubted_the_body_may_be_anywhere_in_the_frame():
