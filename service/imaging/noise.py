@@ -67,8 +67,8 @@ def as_loud_as(noise: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArra
     now = np.sqrt(np.diag(noise))
     alike = noise / np.maximum(np.outer(now, now), 1e-12)
     np.fill_diagonal(alike, 1.0)
-    louder = np.maximum(now, sigma)
-    return np.asarray(alike * np.outer(louder, louder))
+    raised = np.maximum(now, sigma)
+    return np.asarray(alike * np.outer(raised, raised))
 
 
 def sigmas(noise: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -48,10 +48,9 @@ def read_fits(body: bytes, limits: ImageLimits) -> Sequence[Frame]:
         images = np.moveaxis(data, 1, -1) if colour else data
         if not _top_down(header):
             images = images[:, ::-1]
-        if not colour and _is_mosaic(header):
-            images = np.stack([without_mosaic(image) for image in images])
-        facts = _facts(header, shape)
-        return [as_frame(image, facts if k == 0 else _later(facts)) for k, image in enumerate(images)]
+        facts, mosaic = _facts(header, shape), not colour and _is_mosaic(header)
+        plain = (without_mosaic(image) if mosaic else image for image in images)
+        return [as_frame(image, facts if k == 0 else _later(facts)) for k, image in enumerate(plain)]
 
 
 def read_fits_facts(body: bytes, limits: ImageLimits) -> FrameFacts:
