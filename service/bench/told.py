@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -35,6 +36,7 @@ class Told:
     cut: float | None = None  # share of the body that lies beyond the image's lower edge
     guided: int | None = None  # every frame is moved by up to so many px, as by hand
     early: int | None = None  # frames of empty sky ahead of the pass
+    every: int | None = None  # only one frame in so many: a slow camera, or a client that posts few
     altered: str | None = None  # one of ``altered.ALTERATIONS``: what a program did to the frames, and nobody tells
 
     def configure(self, config: SessionConfig, case: Case) -> SessionConfig:
@@ -52,9 +54,11 @@ class Told:
         return config
 
     def shown(self, case: Case) -> Case:
-        """The case as a camera would show it that begins early, sees more of the sky or less of the body, or stretches
-        light, and as a program would leave it.
+        """The case as a camera would show it that is slow, begins early, sees more of the sky or less of the body, or
+        stretches light, and as a program would leave it.
         """
+        if self.every is not None:
+            case = _thinned(case, self.every)
         if self.early is not None:
             case = begun_early(case, self.early)
         if self.canvas is not None:
@@ -66,6 +70,10 @@ class Told:
         if self.stretch is not None:
             case = _stretched(case, self.stretch)
         return case if self.altered is None else altered(case, self.altered)
+
+
+def _thinned(case: Case, every: int) -> Case:
+    return replace(case, frames=lambda: islice(case.frames(), 0, None, every))
 
 
 def _stretched(case: Case, power: float) -> Case:

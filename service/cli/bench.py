@@ -92,6 +92,7 @@ def track(
     ] = None,
     guided: Annotated[int | None, typer.Option(min=1, help="Frames moved by up to so many px, as by hand.")] = None,
     early: Annotated[int | None, typer.Option(min=1, help="Frames of empty sky ahead of each pass.")] = None,
+    every: Annotated[int | None, typer.Option(min=1, help="Only one frame in so many, as a slow camera.")] = None,
     untied: Annotated[
         float | None, typer.Option(help="All joints move on their own, each known within so many degrees.")
     ] = None,
@@ -102,7 +103,7 @@ def track(
     from service.bench.told import Told
     from service.cli.bench_run import Output, Selection, entries_of, run_benchmark
 
-    seen = (stretch, not exact_mesh, canvas, cut, guided, early, altered)
+    seen = (stretch, not exact_mesh, canvas, cut, guided, early, every, altered)
     told = Told(not nosun, sun_off, known_range, not own_sky, *seen)
     terms = Terms(limit, settled, told)
     with refusals():

@@ -17,6 +17,7 @@ from service.inference.numerics.student import log_density
 from service.inference.pose import local, retract
 from service.inference.state import Array, Displaced, Mixture, Poses
 
+_NOTHING = 1e-300  # numerical: divides by nothing
 _LEAST = 1e-3  # numerical: probability below which it is forgotten
 _LOG_TURNS = float(np.log(8 * np.pi**2))  # exact: of the volume of all rotations, rad^3
 
@@ -47,7 +48,8 @@ def with_displaced(
         known = None  # it is back
     elif before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
         d = ahead.rates.shape[1]
-        moved = turns_there(answer, ahead.covariance[last][:d, :d], leader, given)
+        _, fits, no_fit = ahead.existence
+        moved = turns_there(answer, ahead.covariance[last][:d, :d], leader, given) * fits / max(no_fit, _NOTHING)
         right = was_right(before.answered, disturbed, moved)
         if known is None or right > known.probability:
             known = Displaced(right, answer, ahead.rates[last : last + 1])
@@ -67,7 +69,8 @@ def was_right(answered: float, disturbed: float, moved: float) -> float:
     """Probability that an answer is right which another displaced, that explains the frame better.
 
     Then something has come between (``disturbed``, the probability of that were the answer right). Else it was wrong
-    when it was told with ``answered``, or the body has turned since: ``moved``, density of that over that of any turn.
+    when it was told with ``answered``, or the body has turned since: ``moved``, density of that over that of any turn,
+    times the odds against something between, ahead of the frame.
     """
     answered = min(answered, 1 - prior.ANSWER_WRONG)
     right = answered * disturbed

@@ -12,18 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.filters.answer import drawn, estimate_of, unseen
+from service.inference.filters.births import MOST_MODES, same_mode
 from service.inference.filters.displaced import carried_on, with_displaced
 from service.inference.filters.effort import explains, is_doubted, part_due, searched_nats
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.pointing import pointed
 from service.inference.filters.status import one_answer, status_of, told_existence
-from service.inference.filters.weighing import MOST_MODES, same_mode, weigh
+from service.inference.filters.weighing import weigh
 from service.inference.held import believed
 from service.inference.mesh_error import evidence_trust, stated
 from service.inference.model import existence, paint, prior
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import Quality
-from service.inference.model.dynamics import predicted, predicted_suns
+from service.inference.model.dynamics import predicted, predicted_suns, turn
 from service.inference.model.expected import lit_box
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.rivals import Followed, rivals
@@ -125,7 +126,7 @@ def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
         covariance=covariance,
         suns=before.suns,
         sun_sigmas=predicted_suns(before.sun_sigmas, dt_s),
-        paint=paint.expected(before.paint),
+        paint=paint.expected(before.paint, turn(before.rates, before.covariance, dt_s)),
         log_weights=weights,
         existence=here,
         displaced=carried_on(before.displaced, dt_s),

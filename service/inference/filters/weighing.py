@@ -5,31 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.inference.domain import Domain
-from service.inference.estimate import short_way, tangent
+from service.inference.estimate import tangent
+from service.inference.filters.births import followed_to, newborn, repainted
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.status import found_share
 from service.inference.mesh_error import evidence_trust
 from service.inference.model import existence, paint, prior
-from service.inference.model.candidates import turned_alike
 from service.inference.model.dynamics import corrected, new_born
 from service.inference.model.nuisance import Nuisance, lets_through, log_prior, neighbour, scene_under
 from service.inference.model.search import Found
-from service.inference.model.stages import FINEST
 from service.inference.motion import MotionNoise
-from service.inference.numerics.gauss_newton import ascend
 from service.inference.numerics.hill import Hill, Refined
-from service.inference.numerics.priors import Believed
-from service.inference.revolution import angle_apart
-from service.inference.state import Array, Mixture
+from service.inference.state import Array, Mixture, Poses
 
-MOST_MODES = 6  # numerical: that are kept
 # numerical: nats that light gains at the most, fitted anew as another body's: 121 in 262 frames
 _REFITTED = 200.0
-_SAME_DEG = 2.5  # numerical: modes nearer than this have met
-_SAME_JOINT_SIGMAS = 3.0  # numerical: their joints agree within so many
 
 
 @dataclass(frozen=True)
@@ -65,12 +57,12 @@ def weigh(
     before: Mixture | None,
 ) -> Updated:
     """All modes with what the frame says of them, and of whether any of them is true."""
-    modes = [] if ahead is None else [followed(k, one, ahead, given.domain) for k, one in enumerate(refined)]
-    lead = max(modes, key=lambda mode: mode.log_weight, default=None)
     trust, usual = evidence_trust(given.domain), usual_of(before, given.domain.prior.mesh_error)
     level, afresh = None, -np.inf  # weight of no evidence in this frame; evidence of the leader were its paint unknown
     other, looks = neighbour(nuisance, given.index, hill.scene.hidden), (-np.inf, -np.inf, -np.inf)
-    new = newborn(refined, ahead, found, given)
+    turned, new = newborn(refined, ahead, found, given)
+    modes = [] if ahead is None else all_followed(refined, turned, ahead, hill, given)
+    n_followed, lead = len(modes), max(modes, key=lambda mode: mode.log_weight, default=None)
     if lead is not None:
         looks = looks_at(lead, hill, other)
         others = [one.fit.log_evidence for one, k in new if k is not None and modes[k] is lead]
@@ -108,13 +100,25 @@ def weigh(
         log_light=existence.usual_light(usual.log_light, light, fits),
         nats=explained - absent,
         hidden=existence.hidden_share(hill, best.one.fit),
-        n_followed=len(refined),
+        n_followed=n_followed,
         disturbed=0.0 if ahead is None or before is None else come_between(modes, best, hill, other, ahead, before),
     )
 
 
-def followed(k: int, one: Refined, ahead: Predicted, domain: Domain) -> Weighed:
-    """A mode that was expected: a power of its evidence, and of the share of its prior that the frame leaves."""
+def all_followed(
+    refined: list[Refined], turned: list[tuple[Poses, Refined, int]], ahead: Predicted, hill: Hill, given: Given
+) -> list[Weighed]:
+    """The modes that were expected, and after them where a search met them, turned further than they climb."""
+    here = [(k, one, ahead.paint[k]) for k, one in enumerate(refined)]
+    there = followed_to(turned, refined, ahead, hill, given)
+    return [followed(k, one, ahead, learnt, given.domain) for k, one, learnt in [*here, *there]]
+
+
+def followed(k: int, one: Refined, ahead: Predicted, expected: Array, domain: Domain) -> Weighed:
+    """A mode that was expected: a power of its evidence, and of the share of its prior that the frame leaves.
+
+    ``expected`` (2, P): paint that its evidence is under.
+    """
     d = ahead.rates.shape[1]
     wide = ahead.covariance[k][:d, :d]
     shift = tangent(ahead.poses[k : k + 1], one.pose, domain.wrapping)[0]
@@ -123,7 +127,7 @@ def followed(k: int, one: Refined, ahead: Predicted, domain: Domain) -> Weighed:
     narrowed += 2 * float(np.log(one.sun_sigma / ahead.sun_sigmas[k]))
     away = -0.5 * float(shift @ np.linalg.solve(wide, shift))
     weight = float(ahead.log_weights[k]) + evidence_trust(domain) * (one.log_posterior + narrowed)
-    return Weighed(one, rates, covariance, weight, narrowed + away, one.log_posterior - away, ahead.paint[k])
+    return Weighed(one, rates, covariance, weight, narrowed + away, one.log_posterior - away, expected)
 
 
 def born(
@@ -205,39 +209,3 @@ def usual_of(before: Mixture | None, mesh_error: float) -> Usual:
         return Usual(None, existence.usual_chi2(), 0.0)
     answered = min(found_share(before, mesh_error), 1 - prior.ANSWER_WRONG)
     return Usual(before.log_light, existence.level_if(before.log_chi2, answered), answered)
-
-
-def newborn(
-    refined: list[Refined], ahead: Predicted | None, found: Found | None, given: Given
-) -> list[tuple[Refined, int | None]]:
-    """Basins of a search that no mode holds already, each with the mode that it is turned as; None: as no other.
-
-    Paint is the body's: another place for a mode has what the mode has learnt. A pose unlike all modes' says that they
-    were wrong, and that nothing is learnt yet.
-    """
-    if found is None:
-        return []
-    articulation = given.body.fine.articulation
-    out: list[tuple[Refined, int | None]] = []
-    for one in found.basins[:MOST_MODES]:
-        if not any(same_mode(one, other, given.domain) for other in refined):
-            alike = None if ahead is None else turned_alike(one.pose, ahead.poses, articulation)
-            out.append((one, None if alike is None or not alike.any() else int(np.argmax(alike))))
-    return out
-
-
-def repainted(one: Refined, learnt: Array, hill: Hill, wrapping: NDArray[np.bool_]) -> Refined:
-    """A basin, climbed to its best under paint (2, P) that is known."""
-    free = np.zeros((1, *one.covariance.shape))
-    believed = Believed(one.pose, free, wrapping, learnt[None], one.sun[None], np.zeros(1))
-    return ascend(hill, one.pose, one.sun[None], steps=FINEST.steps, covariance="last", believed=believed)[0]
-
-
-def same_mode(one: Refined, other: Refined, domain: Domain) -> bool:
-    """Whether two modes are one."""
-    axes = domain.articulation.round_axes
-    if float(angle_apart(one.pose.quaternion, other.pose.quaternion, axes)[0]) > np.deg2rad(_SAME_DEG):
-        return False
-    apart = np.abs(short_way(other.pose.joints - one.pose.joints, domain.wrapping)[0])
-    wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
-    return bool(np.all(apart <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))

@@ -50,3 +50,13 @@ def new_born(pose_covariance: Array, noise: MotionNoise) -> Array:
 def predicted_suns(sigmas: Array, dt_s: float) -> Array:
     """(K,) of the Suns that go with modes, after ``dt_s``: what is remembered of them fades as poses do."""
     return np.asarray(np.sqrt(sigmas**2 / prior.MEMORY_KEPT + prior.SUN_DRIFT**2 * dt_s))
+
+
+def turn(rates: Array, covariance: Array, dt_s: float) -> Array:
+    """(K,) rad by which K bodies of rates (K, d) turn in ``dt_s``; pose and rates have (K, 2d, 2d).
+
+    What is not known of rates is taken off: else a faint body seems to turn, whose rates are noise.
+    """
+    d = rates.shape[1]
+    unsure = np.trace(covariance[:, d : d + 3, d : d + 3], axis1=1, axis2=2)
+    return np.asarray(dt_s * np.sqrt(np.maximum(np.sum(rates[:, :3] ** 2, axis=1) - unsure, 0.0)))

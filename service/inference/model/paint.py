@@ -22,10 +22,15 @@ def unlearnt(n_planes: int) -> Array:
     return np.zeros((2, n_planes - EVEN_PLANES))
 
 
-def expected(paint: Array) -> Array:
-    """(..., 2, P) ahead of a frame: turning surfaces are no matt ones, so what was learnt wears off."""
+def expected(paint: Array, turned: Array | float = 0.0) -> Array:
+    """(..., 2, P) ahead of a frame: turning surfaces are no matt ones, so what was learnt wears off.
+
+    ``turned`` (...,): rad by which the body turns meanwhile. No more gets unknown than is of a body's other groups.
+    """
+    turn = np.asarray(turned, np.float64)[..., None]
+    variance = prior.PAINT_DRIFT**2 + np.minimum(prior.PAINT_TURN * turn**2, prior.ALBEDO_SIGMA) ** 2
     out = paint.copy()
-    out[..., 1, :] = paint[..., 1, :] / (1 + paint[..., 1, :] * prior.PAINT_DRIFT**2)
+    out[..., 1, :] = paint[..., 1, :] / (1 + paint[..., 1, :] * variance)
     return out
 
 

@@ -78,6 +78,12 @@ def test_every_frame_brings_what_its_session_was_told(case_of, satellite, monkey
     assert low < 5.0 < high
 
 
+def test_a_slow_camera_shows_one_frame_in_so_many_at_its_time(case_of, satellite, truth):
+    every = [(bytes([k]), replace(truth, time_s=0.1 * k)) for k in range(10)]
+    case = Told(every=4).shown(replace(case_of(satellite), frames=lambda: iter(every)))
+    assert list(case.frames()) == [every[0], every[4], every[8]]
+
+
 def test_a_pass_that_knows_nothing_tells_nothing(case_of, satellite):
     config = effective({})
     assert Told(scale=True).configure(config, case_of(satellite)) == config

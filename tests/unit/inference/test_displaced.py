@@ -13,6 +13,7 @@ from service.inference.filters.displaced import carried_on, turns_there, was_rig
 from service.inference.filters.given import Predicted
 from service.inference.filters.status import told_existence
 from service.inference.model import prior
+from service.inference.model.existence import expected
 from service.inference.params import PriorParams
 from service.inference.pose import angle_between, retract
 from service.inference.state import Displaced
@@ -38,7 +39,7 @@ def predicted(held, displaced: Displaced | None = None) -> Predicted:
         held.sun_sigmas,
         held.paint,
         held.log_weights,
-        held.existence,
+        expected(held.existence, 0.1),
         displaced,
     )
 

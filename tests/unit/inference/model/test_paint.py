@@ -40,7 +40,7 @@ def followed(n: int) -> np.ndarray:
     """What is known after so many frames of a turning body, under air that lets more or less through."""
     known = paint.unlearnt(planes(0.0).shape[1])
     for k in range(n):
-        known = paint.expected(known) if k else known
+        known = paint.expected(known, 0.05) if k else known
         fit = fitted(0.05 * k, k, 700.0 * 1.3 ** (-1) ** k, known)
         known = paint.learnt(fit, known, paint_variance(fit, np.zeros((1, VIEW.side, VIEW.side)), np.zeros((1, 1))))
     return known
