@@ -39,6 +39,11 @@ class Terms(Protocol):
         ...
 
     @property
+    def behind(self) -> Numbers:
+        """(S, S) light of the sky that can be hidden at a place, over its level."""
+        ...
+
+    @property
     def bumps(self) -> Numbers:
         """(9, S, S) where the air shifts the image alike."""
         ...
@@ -128,7 +133,7 @@ class Terms(Protocol):
 class HostInputs:
     """Of N poses, in the order in which the kernel takes them."""
 
-    # offset, mean, precision, start, data, marks, slopes, bumps, weights, radii, taps, boxes
+    # offset, mean, precision, start, data, marks, slopes and sky behind, bumps, weights, radii, taps, boxes
     arrays: tuple[NDArray[np.generic], ...]
     every: int  # priors from one pose to the next; 0: all have the same
     started: bool  # whether `start` says where unknowns begin
@@ -150,7 +155,8 @@ def inputs_of(several: Sequence[Terms], numbers: Sequence[int]) -> HostInputs:
     marks = terms.full.astype(np.uint8) | terms.stars << 1
     starts = [one.start for one in several if one.start is not None]
     start = np.concatenate([np.atleast_2d(one) for one in starts]) if starts else np.zeros((1, 1), np.float32)
-    arrays = (terms.offset, mean, precision, start, terms.data, marks, terms.slopes, terms.bumps)
+    sky = np.concatenate([terms.slopes, terms.behind[None]])
+    arrays = (terms.offset, mean, precision, start, terms.data, marks, sky, terms.bumps)
     boxes = boxes_of(terms.stars)
     scalars = (terms.noise, terms.area, terms.edge**2, terms.gain, terms.star)
     own = np.array([(one.wrong, one.width, one.photon, one.hidden) for one in each], np.float32)

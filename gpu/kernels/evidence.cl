@@ -130,8 +130,8 @@ static float weigh_stars(const Scene s, const Room r, __global const uchar *mark
 
 // Scales, light, model, residual, weight; what `weigh_stars` says. `lit` positives are in use.
 static float draw_model(const Scene s, const Room r, const int lit, const int count, const Box body,
-    __global const float *offset, __global const float *data, __global const uchar *marks, __global const float *bumps,
-    __global const int *stars)
+    __global const float *offset, __global const float *data, __global const uchar *marks, __global const float *behind,
+    __global const float *bumps, __global const int *stars)
 {
     const float gain = (float)exp(r.value[lit]);
     clear(r.light, body, s.side);
@@ -174,7 +174,7 @@ static float draw_model(const Scene s, const Room r, const int lit, const int co
                 const floats dx = floats_at(r.across + k), dy = floats_at(r.down + k);
                 variance += s.photon / s.area * fmax(light, 0.0f)
                     + s.wrong * (light * light + s.edge2 * (dx * dx + dy * dy));
-                model = fma((floats)hidden, floats_at(even + k), model);
+                model = fma(hidden * floats_at(behind + k), floats_at(even + k), model);
                 for (int m = lit + 9; m < count; ++m)
                     model = fma((floats)(r.scale[m] * (float)r.value[m]),
                         floats_at(picture_in(s, r, SPECKLE + m - lit - 9) + k), model);
@@ -532,7 +532,7 @@ __kernel void evidence(
             started ? given_start + (size_t)pose * s.unknowns : 0, data, weights + spread[0], radii + spread[0],
             taps + spread[2], groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
-        float gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
+        float gained = draw_model(s, r, lit, count, body, offset, data, marks, slopes + 3 * pixels, bumps, stars);
         bool sound = true, still = false;
         for (int round = 0; round < rounds && sound && !still; ++round) {
             products(r.products, s.first + lit, body, r.total);
@@ -540,7 +540,7 @@ __kernel void evidence(
             double promised = 0.0;
             sound = step(s, r, lit, count, row, &promised);
             still = fabs(promised) < STILL;
-            if (!still) gained = draw_model(s, r, lit, count, body, offset, data, marks, bumps, stars);
+            if (!still) gained = draw_model(s, r, lit, count, body, offset, data, marks, slopes + 3 * pixels, bumps, stars);
         }
         if (!still) products(r.products, s.first + lit, body, r.total);
         draw_normal(s, r, lit, count);

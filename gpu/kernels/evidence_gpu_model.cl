@@ -69,7 +69,8 @@ __kernel GROUPS void model(ASKED, __global const float *data, __global const uch
     if (within(box_at(r, BODY), k / s.side, k % s.side)) {
         const float dx = r.across[k], dy = r.down[k];
         variance += s.photon / s.area * fmax(light, 0.0f) + s.wrong * (light * light + s.edge2 * (dx * dx + dy * dy));
-        model = fma(r.scale[lit + 2] * (float)r.value[lit + 2], picture_in(s, r, EVEN)[k], model);
+        const float hidden = r.scale[lit + 2] * (float)r.value[lit + 2] * sky[3 * s.pixels + k];
+        model = fma(hidden, picture_in(s, r, EVEN)[k], model);
         for (int m = 0; m < deviations; ++m)
             model = fma(r.scale[lit + 9 + m] * (float)r.value[lit + 9 + m], picture_in(s, r, SPECKLE + m)[k], model);
         for (int b = 0; s.shifts && b < 2 * BUMPS; ++b) {

@@ -29,6 +29,7 @@ _MARGIN = 0.3  # numerical: sky on each side of the light, as a share of its lon
 _LEAST_MARGIN_PX = 6  # numerical
 LANES = 16  # exact: a side is a multiple, rows of whole lanes
 OWN = 64  # numerical: above all numbers of stars
+_BRIGHTEST = 2.0  # numerical: of the sky's level: what is brighter are stars and hot pixels
 _COARSER = 1.2  # numerical: a patch coarser by less saves nothing
 
 
@@ -46,6 +47,7 @@ class Light:
     """Numbers of its pieces that may be stars, 0 elsewhere; ``OWN`` more of those that the object has, if it is there.
     """
     unseen: NDArray[np.bool_] | None = None  # where nothing is known: under a clock, in a black bar; None: nowhere
+    uneven: Map | None = None  # counts of the empty sky at a place, over ``sky``; None: alike everywhere
 
     def covers(self, square: Square) -> bool:
         """Whether a square lies within it."""
@@ -77,6 +79,7 @@ class Patch:
     stars_alone: NDArray[np.uint8] | None  # (S, S) the same where the object is absent; None: no more
     origin: tuple[float, float]  # of its first corner, frame px
     binning: float  # frame px a patch px
+    uneven: Map | None = None  # (S, S) counts of the empty sky at a place, over ``sky``; None: alike everywhere
 
     @property
     def side(self) -> int:
@@ -110,8 +113,10 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     shown = fine[::every, ::every][empty]
     sigma *= louder(loudness(shown) / sigma, sky.fine, len(shown))
     photon = _photon_transfer(fine, local, sigma, full)
-    level = max(float(np.median(_weighed(mean[::every, ::every], share))), 0.0)
-    return Light(above, sigma, photon, level, full, (columns.start, rows.start), unseen=unseen)
+    empty_sky = _weighed(mean, share)
+    level = max(float(np.median(empty_sky[::every, ::every])), 0.0)
+    uneven = np.clip(empty_sky / level, 0.0, _BRIGHTEST) if level > 0 else None
+    return Light(above, sigma, photon, level, full, (columns.start, rows.start), unseen=unseen, uneven=uneven)
 
 
 def _weighed(channels: Map, share: Map) -> Map:
@@ -204,6 +209,9 @@ def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float
     inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
     index = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
     image, full = (np.where(inside, one[index], 0).astype(np.float32) for one in (light.image, light.full))
+    uneven = light.uneven
+    if uneven is not None:
+        uneven = np.asarray(cv2.resize(uneven[index], size, interpolation=cv2.INTER_AREA), np.float32)
     unseen = ~inside if light.unseen is None else light.unseen[index] | ~inside
     marked = np.zeros((1, 1), np.uint8) if light.stars is None else np.where(inside, light.stars[index], 0)
     stars = np.asarray(cv2.resize(np.asarray(marked, np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8)
@@ -218,4 +226,5 @@ def cut(light: Light, centre: tuple[float, float], span_px: float, wanted: float
         stars_alone=stars % np.uint8(OWN) if stars.max() > OWN else None,
         origin=(float(square.first[0]), float(square.first[1])),
         binning=binning,
+        uneven=uneven,
     )

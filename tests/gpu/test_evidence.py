@@ -84,6 +84,7 @@ def scene_of(
         discrepancy=0.04,  # a smaller one would feel the wings that the kernel cuts off
         shifts=shifts,
         starry=starry,
+        uneven=np.tile(np.linspace(0.8, 1.2, len(image), dtype=np.float32), (len(image), 1)),
     )
 
 

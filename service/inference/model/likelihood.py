@@ -145,7 +145,7 @@ class _Unknowns:
             more.append(deviations(light, terms.width))
         if terms.shifts:
             more += [terms.bumps * slope for slope in gradient(light)]
-        model = light - np.float32(terms.hidden * value[n + 2]) * self._even
+        model = light - np.float32(terms.hidden * value[n + 2]) * terms.behind * self._even
         model = model + np.tensordot(value[n + 3 : n + 6].astype(np.float32), terms.slopes, 1)
         if more:
             model = model + np.tensordot(value[n + 9 :].astype(np.float32), np.concatenate(more), 1)

@@ -42,6 +42,7 @@ class Scene:
     unseen: NDArray[np.bool_] | None = None  # (S, S) where nothing is known; None: nowhere
     hides: float | None = None  # counts of the sky's light that the body hides; None: as likely as its prior has it
     seen_photon: float | None = None  # variance per count, as the frame's finest checkerboard has it
+    uneven: Images | None = None  # (S, S) counts of the empty sky at a place, over `sky`; None: alike everywhere
 
     @property
     def side(self) -> int:
@@ -92,6 +93,13 @@ class Scene:
         value, a bright body's rim could go outwards at no cost.
         """
         return np.asarray(self.unknown | (self.full >= _FULL_SHARE))
+
+    @cached_property
+    def behind(self) -> Images:
+        """(S, S) light of the sky that a body can hide at a place, over its level, after the low pass."""
+        if self.uneven is None:
+            return np.ones(self.image.shape, np.float32)
+        return np.asarray(1 + spread(self.uneven[None] - 1, PointSpread(0.0), self.smoothing)[0], np.float32)
 
     @cached_property
     def stars(self) -> NDArray[np.uint8]:
@@ -161,7 +169,15 @@ class Scene:
             hides=self.hides if hides is None else hides,
             low_pass=self.smoothing,
         )
-        for name in ("data", "area", "unknown", "censored", "stars", "gain"):  # of the frame and its low pass alone
+        for name in (
+            "data",
+            "area",
+            "unknown",
+            "censored",
+            "behind",
+            "stars",
+            "gain",
+        ):  # of the frame and its low pass alone
             other.__dict__[name] = getattr(self, name)
         return other
 

@@ -47,6 +47,11 @@ class PatchLike(Protocol):
         ...
 
     @property
+    def uneven(self) -> NDArray[np.float32] | None:
+        """(S, S) counts of the empty sky at a place, over `sky`; None: alike everywhere."""
+        ...
+
+    @property
     def unseen(self) -> NDArray[np.bool_]:
         """(S, S) pixels of which nothing is known."""
         ...
@@ -195,6 +200,7 @@ def stage_hill(
         unseen=patch.unseen,
         hides=nuisance.hides,
         seen_photon=patch.photon,
+        uneven=patch.uneven,
     )
     view = View(patch.origin, patch.binning, len(patch.image), sight.lens)
     free = speckle or told.towards_sun is None

@@ -31,6 +31,7 @@ class Terms:
     full: NDArray[np.bool_]
     stars: NDArray[np.uint8]
     slopes: Images
+    behind: Images  # (S, S) light of the sky that can be hidden at a place, over its level
     bumps: Images
     gaussians: tuple[tuple[float, float], ...]
     noise: float
@@ -85,6 +86,7 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
         full=scene.censored,
         stars=scene.stars,
         slopes=sky_slopes(scene.side),
+        behind=scene.behind,
         bumps=shift_bumps(scene.side),
         gaussians=scene.point_spread.gaussians(scene.smoothing),
         noise=scene.sigma**2,
