@@ -115,7 +115,7 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     photon = _photon_transfer(fine, local, sigma, full)
     empty_sky = _weighed(mean, share)
     level = max(float(np.median(empty_sky[::every, ::every])), 0.0)
-    uneven = np.clip(empty_sky / level, 0.0, _BRIGHTEST) if level > 0 else None
+    uneven = np.clip(empty_sky / level, 0.0, _BRIGHTEST, out=empty_sky) if level > 0 else None
     return Light(above, sigma, photon, level, full, (columns.start, rows.start), unseen=unseen, uneven=uneven)
 
 
