@@ -24,6 +24,7 @@ from service.client import Client
 SIZE = 48
 GIVEN = box_pass(2, SIZE)
 SMALL = {"filter": {"particles": 100, "seed": 5}, "light": {"sun": [0.0, 0.0, -1.0]}}
+OUTLINED = {"filter": {"preset": "paper", "particles": 400, "seed": 5}}  # a flat box: its light is no body's
 TIME = "2026-11-20T03:04:05.500"
 
 
@@ -166,7 +167,7 @@ def history(client, model_id) -> str:
     wcs = WCS(naxis=2)
     wcs.wcs.ctype, wcs.wcs.crval = ["RA---TAN", "DEC--TAN"], [210.0, -25.0]
     wcs.wcs.crpix, wcs.wcs.cdelt = [SIZE / 2 + 0.5] * 2, [-0.001, 0.001]
-    session = client.create_session(model_id, **SMALL, name="BOX").session_id
+    session = client.create_session(model_id, **OUTLINED, name="BOX").session_id
     client.add_background(session, fits_file()(SKY), "image/fits")
     for k, image in enumerate(FRAMES):
         hdu = fits.PrimaryHDU(image[::-1], wcs.to_header())
