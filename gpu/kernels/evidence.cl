@@ -519,6 +519,7 @@ __kernel void evidence(
         0, SPECKLE + more, length, n_stars, sigma2, 0.0f, 0.0f, area, 0.0f, edge2, 0.0f, gain, star};
     const Room r = room_in(memory + get_global_id(0) * each, s);
     prepare(s, r, slopes);
+    __global const float *behind = slopes + 3 * pixels;  // light of the sky at a place, over its level
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
         __global const int *spread = spreads + 4 * pose;
         s.components = spread[1];
@@ -532,7 +533,7 @@ __kernel void evidence(
             started ? given_start + (size_t)pose * s.unknowns : 0, data, weights + spread[0], radii + spread[0],
             taps + spread[2], groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
-        float gained = draw_model(s, r, lit, count, body, offset, data, marks, slopes + 3 * pixels, bumps, stars);
+        float gained = draw_model(s, r, lit, count, body, offset, data, marks, behind, bumps, stars);
         bool sound = true, still = false;
         for (int round = 0; round < rounds && sound && !still; ++round) {
             products(r.products, s.first + lit, body, r.total);
@@ -540,7 +541,7 @@ __kernel void evidence(
             double promised = 0.0;
             sound = step(s, r, lit, count, row, &promised);
             still = fabs(promised) < STILL;
-            if (!still) gained = draw_model(s, r, lit, count, body, offset, data, marks, slopes + 3 * pixels, bumps, stars);
+            if (!still) gained = draw_model(s, r, lit, count, body, offset, data, marks, behind, bumps, stars);
         }
         if (!still) products(r.products, s.first + lit, body, r.total);
         draw_normal(s, r, lit, count);

@@ -58,10 +58,8 @@ FADES = 0.5  # log of the light's change from one frame to the next: turning pan
 MEMORY_KEPT = 0.4  # of what earlier frames say of a pose: they err where the next one errs
 SUN_DRIFT = 0.02  # rad, per root s, in camera axes: the field turns while a telescope follows a pass
 PAINT_DRIFT = 0.01  # of log albedo, per frame: estimates of it change by 0.04, nearly all of that their own noise
-PAINT_TURN = (
-    3.0  # of log albedo and gloss, per squared rad that a body turns from one frame to the next: other facets of
-)
-# a group show, and other sides of lobes, which are flat at their middle; by the evidence of four passes at 4 to 19 deg
+PAINT_TURN = 3.0  # of log albedo and gloss, per squared rad that a body turns from frame to frame: other facets show,
+# and other sides of lobes, which are flat at their middle; by the evidence of four passes at 4 to 19 deg a frame
 PAINT_DOUBTED = 0.9  # of what is known of paint stays in a frame that more likely is not of it
 EVIDENCE_KEPT = 0.7  # of what earlier frames say of one mode against another, likewise
 BIRTH = 0.1  # probability that the truth is not among the modes when a search is made

@@ -169,15 +169,8 @@ class Scene:
             hides=self.hides if hides is None else hides,
             low_pass=self.smoothing,
         )
-        for name in (
-            "data",
-            "area",
-            "unknown",
-            "censored",
-            "behind",
-            "stars",
-            "gain",
-        ):  # of the frame and its low pass alone
+        # of the frame and its low pass alone
+        for name in ("data", "area", "unknown", "censored", "behind", "stars", "gain"):
             other.__dict__[name] = getattr(self, name)
         return other
 
