@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,13 +87,11 @@ def followed_to(
     """
     if not turned:
         return []
-    d, wrapping = ahead.rates.shape[1], given.domain.wrapping
     k = np.array([number for _, _, number in turned])
-    precision = np.linalg.inv(ahead.covariance[k][:, :d, :d])
     suns, poses = np.stack([one.sun for _, one, _ in turned]), concatenate(*[pose for pose, _, _ in turned])
     further = angle_between(ahead.poses[k].quaternion, poses.quaternion)
     learnt = paint.expected(ahead.paint[k], further)
-    believed = Believed(ahead.poses[k], precision, wrapping, learnt, ahead.suns[k], ahead.sun_sigmas[k] ** -2)
+    believed = replace(ahead.believed(given.domain.wrapping, k), paint=learnt)
     there = ascend(hill, poses, suns, steps=FINEST.steps, covariance="last", believed=believed)
     return [
         (int(number), one, paint_there)

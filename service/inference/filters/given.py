@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.inference.domain import Domain
 from service.inference.held import Held
@@ -14,7 +15,7 @@ from service.inference.model.nuisance import Nuisance
 from service.inference.model.stages import Body, Sight
 from service.inference.model.templates import Bank
 from service.inference.numerics.hill import Refined
-from service.inference.numerics.priors import PosePrior
+from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.params import SessionConfig
 from service.inference.state import Array, Displaced, Poses
 from service.inference.symmetry import Symmetry
@@ -68,6 +69,13 @@ class Predicted:
     existence: Array  # (3,)
     displaced: Displaced | None
     aside: Array = field(default_factory=lambda: np.zeros(2))  # px from there to where the frame shows their light
+
+    def believed(self, wrapping: NDArray[np.bool_], at: NDArray[np.intp] | slice = slice(None)) -> Believed:
+        """What is known of the modes that are numbered ``at``, each of them of its own climb."""
+        d = self.rates.shape[1]
+        precision = np.asarray(np.linalg.inv(self.covariance[at][:, :d, :d]), np.float64)
+        suns = self.suns[at], self.sun_sigmas[at] ** -2
+        return Believed(self.poses[at], precision, wrapping, self.paint[at], *suns)
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,6 @@ from service.inference.motion import MotionNoise, motion_noise
 from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
 from service.inference.numerics.hill import Hill, Refined, Trust
 from service.inference.numerics.placing import placed
-from service.inference.numerics.priors import Believed
 from service.inference.pose import concatenate, retract
 from service.inference.state import Estimate, FilterState, Mixture, Poses
 from service.inference.symmetry import twin
@@ -216,13 +215,11 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     """
     if ahead is None:
         return []
-    d = ahead.rates.shape[1]
-    precision = np.stack([np.linalg.inv(one[:d, :d]) for one in ahead.covariance])
     start = ahead.poses.position + ahead.aside
     poses = replace(ahead.poses, position=start, joints=within(hill.drawing, ahead.poses.joints))
     enough = np.full(len(poses), ENOUGH if far else 1 / prior.EVIDENCE_TRUST)
     enough[np.argmax(ahead.log_weights)] = ENOUGH
-    believed = Believed(ahead.poses, precision, wrapping, ahead.paint, ahead.suns, ahead.sun_sigmas**-2)
+    believed = ahead.believed(wrapping)
     given = hill, placed(hill, poses, ahead.suns, believed), ahead.suns
     return ascend(*given, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
 
