@@ -13,11 +13,10 @@ from gpu.mesh import Mesh
 from gpu.program import constant, device_errors
 from gpu.shaded_faces import FaceTable, Indices, face_table
 from gpu.shaded_forms import FacesOnDevice, Sizes, form_on
-from gpu.shaded_reference import EVEN_PLANES
+from gpu.shaded_reference import DARK, EVEN_PLANES
 from gpu.shaded_views import SIDE, views_of_part
 
 Numbers = NDArray[np.float32]
-EVEN_LIGHT = 0.04  # of ``pictures``: what a body shows of light from everywhere, as a share of the Sun's
 
 
 class ShadedBody:
@@ -27,7 +26,8 @@ class ShadedBody:
     of ``side`` pixels whose first pixel begins at (0, 0); smaller depth is nearer. ``towards_sun`` is (3,) or (N, 3),
     in the same axes: (0, 0, -1) is a Sun behind the camera. ``supersample`` samples along each axis of a pixel are
     drawn. ``shadow_px`` is the resolution of cast shadows, texels across the body's diameter; 0: there are none.
-    ``lens``: of a pinhole camera, in pixels of the patch (``gpu.lens``).
+    ``lens``: of a pinhole camera, in pixels of the patch (``gpu.lens``). ``around``: light from all around, which
+    casts no shadows: a face of normal n has max(0, around[:3] . n + around[3]) of it, the Sun's full light being 1.
     A pose with a number that is not finite gives zeros.
     """
 
@@ -85,6 +85,7 @@ class ShadedBody:
         shadow_px: int,
         gloss: tuple[float, ...] = (),
         lens: Lens = NO_LENS,
+        around: tuple[float, float, float, float] = DARK,
     ) -> Numbers:
         """(N, G + 4 + L G, side, side): each group in the Sun's light, coverage, normals, then each group's lobes.
 
@@ -93,7 +94,7 @@ class ShadedBody:
         seen.
         """
         given = self._given(part_transforms, towards_sun)
-        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens)
+        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens, around)
         return self._draw(given, sizes, None, self.n_groups * (1 + len(gloss)) + EVEN_PLANES)
 
     def combined(
@@ -107,10 +108,11 @@ class ShadedBody:
         shadow_px: int,
         gloss: tuple[float, ...] = (),
         lens: Lens = NO_LENS,
+        around: tuple[float, float, float, float] = DARK,
     ) -> Numbers:
         """(N, side, side) sums of the planes times ``coefficients``, (G + 4 + L G,) or (N, G + 4 + L G)."""
         given = self._given(part_transforms, towards_sun)
-        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens)
+        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens, around)
         return self._sum(given, coefficients, 1, sizes)[:, 0]
 
     def pictures(
@@ -122,11 +124,12 @@ class ShadedBody:
         supersample: int,
         shadow_px: int,
         lens: Lens = NO_LENS,
+        around: tuple[float, float, float, float] = DARK,
     ) -> Numbers:
-        """(N, 2, side, side): all groups in the Sun's light with ``EVEN_LIGHT`` added, and the coverage."""
+        """(N, 2, side, side): all groups in the Sun's light and that from all around, and the coverage."""
         given = self._given(part_transforms, towards_sun)
-        alike = np.concatenate([np.ones(self.n_groups), [EVEN_LIGHT, 0.0, 0.0, 0.0]])
-        return self._sum(given, alike, 2, Sizes(side, supersample, shadow_px, self.n_groups, (), lens))
+        alike = np.concatenate([np.ones(self.n_groups), np.zeros(EVEN_PLANES)])
+        return self._sum(given, alike, 2, Sizes(side, supersample, shadow_px, self.n_groups, (), lens, around))
 
     def close(self) -> None:
         """Wait for the device and give its memory back."""

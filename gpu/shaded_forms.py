@@ -25,7 +25,7 @@ from gpu.program import (
     zero,
 )
 from gpu.shaded_faces import LANES
-from gpu.shaded_reference import BIAS_TEXELS, EVEN_PLANES, STEEPEST
+from gpu.shaded_reference import BIAS_TEXELS, DARK, EVEN_PLANES, STEEPEST
 
 Numbers = NDArray[np.float32]
 FACES = ("lanes.cl", "shaded_faces.cl", "shaded_light.cl")
@@ -59,6 +59,7 @@ class Sizes:
     n_groups: int
     gloss: tuple[float, ...] = ()
     lens: Lens = NO_LENS
+    around: tuple[float, float, float, float] = DARK
 
     @property
     def shadow_side(self) -> int:
@@ -66,9 +67,9 @@ class Sizes:
         return self.shadow_px + 4 if self.shadow_px else 0
 
     def camera(self) -> tuple[np.float32, ...]:
-        """One over the focal length, and the principal point, in samples."""
+        """One over the focal length, and the principal point, in samples; and the light from all around."""
         focal, *middle = magnified(self.lens, self.supersample)
-        return tuple(np.float32(v) for v in (1 / focal, *(v - 0.5 for v in middle)))
+        return tuple(np.float32(v) for v in (1 / focal, *(v - 0.5 for v in middle), *self.around))
 
 
 class Form(Protocol):

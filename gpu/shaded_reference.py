@@ -15,6 +15,7 @@ from gpu.zbuffer import Visible, rasterise
 Floats = NDArray[np.float64]
 BIAS_TEXELS = 0.3  # a face this much deeper than what the Sun's view holds is still in the light
 STEEPEST = 100.0  # of a face in the Sun's view, texels of depth for each texel
+DARK = (0.0, 0.0, 0.0, 0.0)  # no light from all around
 EVEN_PLANES = 4  # coverage, and the mean normal's three parts
 _BORDER = 1.0  # texels around the body in the Sun's view
 _CAMERA = np.array([0.0, 0.0, -1.0])  # towards it
@@ -37,6 +38,7 @@ class Drawing:
     shadow_px: int
     gloss: tuple[float, ...] = ()
     lens: Lens = NO_LENS
+    around: tuple[float, float, float, float] = DARK
 
 
 def reference_planes(
@@ -73,8 +75,9 @@ def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floa
     if drawing.shadow_px and len(face):
         lit *= _reached(_sun_view(mesh, placed, corners, sun, drawing), visible, normal, sun, lens)
     n_groups = int(groups.max(initial=0)) + 1
+    around = np.maximum(normal @ drawing.around[:3] + drawing.around[3], 0.0)
     planes = np.zeros((n_groups * (1 + len(drawing.gloss)) + EVEN_PLANES, fine, fine))
-    planes[groups[face], rows, columns] = lit * np.maximum(cosine[face], 0.0)
+    planes[groups[face], rows, columns] = lit * np.maximum(cosine[face], 0.0) + around[face]
     planes[n_groups, rows, columns] = 1.0
     planes[n_groups + 1 : n_groups + EVEN_PLANES, rows, columns] = normal[face].T
     half_way = sun + _CAMERA

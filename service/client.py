@@ -33,7 +33,17 @@ from service.remote.media import frames_in
 from service.remote.options import FrameFacts, Region, Sections, StreamKind, http_options
 from service.remote.retries import Retries
 
-__all__ = ["AsyncClient", "Client", "ClientError", "Event", "FrameFacts", "RefusedError", "Retries", "UnexpectedError"]
+__all__ = [
+    "AsyncClient",
+    "Client",
+    "ClientError",
+    "Event",
+    "FrameFacts",
+    "RefusedError",
+    "Retries",
+    "UnexpectedError",
+    "frames_in",
+]
 T = TypeVar("T")
 
 

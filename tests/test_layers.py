@@ -42,7 +42,7 @@ ROOMS: dict[str, set[str]] = {
     "service.exports": {"attitude", "inference", "errors"},
     "service.report": {"inference"},
     "service.simulate": {"gpu", "inference", "attitude"},
-    "service.bench": {"simulate", "sessions", "workers", "inference", "models", "imaging", "gpu"},
+    "service.bench": {"simulate", "sessions", "workers", "inference", "models", "imaging", "attitude", "gpu"},
     "service.store": {"errors", "settings"},
     "service.errors": set(),
     "service.settings": set(),

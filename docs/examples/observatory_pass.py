@@ -13,7 +13,7 @@ import csv
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from service.client import AsyncClient, FrameFacts, RefusedError
+from service.client import AsyncClient, FrameFacts, RefusedError, frames_in
 
 
 async def post_pass(client: AsyncClient, session_id: str, frames: list[Path], known: list[FrameFacts]) -> None:
@@ -66,7 +66,7 @@ async def watch(client: AsyncClient, session_id: str, count: int) -> None:
 
 async def run(options: argparse.Namespace) -> None:
     """The whole pass."""
-    frames = sorted(path for path in options.frames.iterdir() if path.is_file())
+    frames = frames_in(options.frames)
     step = timedelta(seconds=options.interval)
     known: list[FrameFacts] = [{"time": options.start + k * step} for k in range(len(frames))]
     if options.pointing is not None:
@@ -82,7 +82,7 @@ async def run(options: argparse.Namespace) -> None:
             motion={"frame_interval_s": options.interval},
             camera={"up_angle_deg": options.up} if options.up is not None else {},
         )
-        for path in sorted(options.background.iterdir()):
+        for path in frames_in(options.background):
             await client.add_background(session.session_id, path)
         posting = post_pass(client, session.session_id, frames, known)
         await asyncio.gather(posting, watch(client, session.session_id, len(frames)))

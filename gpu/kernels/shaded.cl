@@ -82,26 +82,31 @@ static void draw_from_camera(const Body body, const Sizes sizes, const Room room
 // Adds sixteen samples to the planes of their groups and to their groups' lobes of gloss; neighbours of one group and
 // pixel at once. `pixel` is the first plane's row.
 static void add_to_planes(const Body body, const Sizes sizes, const Room room, const int column, const ints face,
-    const floats shown, const floats lit, __global float *pixel)
+    const floats shown, const floats shone, const floats lit, __global float *pixel)
 {
     const int pixels = sizes.side * sizes.side, count = min(LANES, sizes.fine - column);
     int number[LANES];
-    float bright[LANES], reach[LANES];
+    float bright[LANES], direct[LANES], reach[LANES];
     vstore16(face, 0, number);
     vstore16(shown, 0, bright);
+    vstore16(shone, 0, direct);
     vstore16(lit, 0, reach);
     __global float *to = pixel + column / sizes.supersample;
     for (int k = 0, end = sizes.supersample - column % sizes.supersample; k < count; ++to, end += sizes.supersample)
         while (k < min(end, count)) {
-            if (number[k] < 0 || bright[k] == 0.0f) { ++k; continue; }  // away from the Sun, or in shadow: no gloss
+            if (number[k] < 0 || bright[k] == 0.0f) { ++k; continue; }
             const int first = k, group = body.group[number[k]];
-            float sum = 0.0f;
-            for (; k < min(end, count) && number[k] >= 0 && body.group[number[k]] == group; ++k) sum += bright[k];
+            float sum = 0.0f, sunlit = 0.0f;
+            for (; k < min(end, count) && number[k] >= 0 && body.group[number[k]] == group; ++k) {
+                sum += bright[k];
+                sunlit += direct[k];
+            }
             to[group * pixels] += sum;
+            if (sunlit == 0.0f) continue;  // away from the Sun, or in shadow: no gloss
             for (int g = 0; g < sizes.n_gloss; ++g) {
                 __global const float *gloss = room.gloss + g * body.padded;
                 float shine = 0.0f;
-                for (int j = first; j < k; ++j) shine += bright[j] == 0.0f ? 0.0f : reach[j] * gloss[number[j]];
+                for (int j = first; j < k; ++j) shine += direct[j] == 0.0f ? 0.0f : reach[j] * gloss[number[j]];
                 to[(group + sizes.n_groups * (1 + g) + EVEN_PLANES) * pixels] += shine;
             }
         }
@@ -139,15 +144,19 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
                 floats lit = 1.0f;
                 if (light.shadows && any_of(full != 0.0f))
                     lit = reached(sizes, room, light.sun, row, column, depth, face);
+                floats mean[EVEN_PLANES];  // coverage, and the normal
                 for (int k = 0; k < means; ++k) {
                     __global float *to = covered + k * sizes.stride + column;
-                    const floats one = k == 0 ? (floats)1.0f : gather(room.even + (k - 1) * body.padded, face);
-                    put(to, floats_at(to) + (hit ? one : 0.0f));
+                    mean[k] = k == 0 ? (floats)1.0f : gather(room.even + (k - 1) * body.padded, face);
+                    put(to, floats_at(to) + (hit ? mean[k] : 0.0f));
                 }
                 const floats even = share ? gather(room.even, face) : 0.0f;
                 if (share) put(sums + column, floats_at(sums + column) + (hit ? full * lit + even : 0.0f));
-                else add_to_planes(body, sizes, room, column, hit ? face : -1, full * lit * each, lit * each,
-                    out + i * sizes.side);
+                else {
+                    const floats around = hit ? from_around(sizes, mean[1], mean[2], mean[3]) : 0.0f;
+                    add_to_planes(body, sizes, room, column, hit ? face : -1, (full * lit + around) * each,
+                        full * lit * each, lit * each, out + i * sizes.side);
+                }
             }
         if (some && share) give_row(sizes, sums, out + i * sizes.side, each);
         for (int k = 0; some && k < means; ++k)
@@ -161,11 +170,11 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
 #define SIZES_GIVEN \
     const int side, const int supersample, const int stride, const int shadow, const int shadow_side, \
     const int shadow_stride, const int n_groups, const int n_gloss, const float lens, const float middle_x, \
-    const float middle_y
+    const float middle_y, const float around_x, const float around_y, const float around_z, const float around
 #define BODY {corners, start, group, shut, boxes, parts, padded, bits, radius}
 #define SIZES \
     {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_gloss, lens, \
-        middle_x, middle_y}
+        middle_x, middle_y, {around_x, around_y, around_z, around}}
 
 // out (N, groups + EVEN_PLANES + groups * gloss, side, side)
 __kernel void planes(

@@ -1,7 +1,7 @@
 // The light on single faces, and how much of the Sun reaches single samples; a part of shaded_gpu.cl.
 //
 // A face's record is eight numbers: the light that it shows where the Sun reaches it, its slopes in the Sun's view (2),
-// its group, its normal (3; with weights of planes the light from everywhere instead), nothing.
+// its group, its normal (3; with weights of planes the light from everywhere instead), light from all around.
 
 typedef struct {
     __global float4 *faces;             // (padded, 2)
@@ -30,10 +30,11 @@ static void light_face(const Body body, const Sizes sizes, const Records to, con
     const int group = body.group[face];
     float shown = cosine > 0.0f ? cosine : 0.0f;
     float3 rest = n;
+    const float around = most_of(dot(sizes.around.xyz, n) + sizes.around.w, 0.0f);
     if (to.share) {
         __global const float *even = to.share + sizes.n_groups;
         shown *= to.share[group];
-        rest.x = even[0] + even[1] * n.x + even[2] * n.y + even[3] * n.z;
+        rest.x = even[0] + even[1] * n.x + even[2] * n.y + even[3] * n.z + to.share[group] * around;
     }
     const float towards = n.x * light.half_way.x + n.y * light.half_way.y + n.z * light.half_way.z;
     for (int k = 0; k < sizes.n_gloss; ++k) {
@@ -51,7 +52,7 @@ static void light_face(const Body body, const Sizes sizes, const Records to, con
         down = clamp((n.x * v.x + n.y * v.y + n.z * v.z) * per_cosine, -STEEPEST, STEEPEST);
     }
     to.faces[2 * face] = (float4)(shown, aside, down, as_float(group));
-    to.faces[2 * face + 1] = (float4)(rest.x, rest.y, rest.z, 0.0f);
+    to.faces[2 * face + 1] = (float4)(rest.x, rest.y, rest.z, around);
 }
 
 // The Sun's view of a body that lies in `range` along the Sun's axes; `map`: its columns and rows. See light_of.

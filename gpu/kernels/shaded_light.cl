@@ -12,6 +12,7 @@ typedef struct {
     int supersample, shadow, shadow_side, shadow_stride;
     int n_groups, n_gloss;
     float lens, middle_x, middle_y; // of a pinhole camera: one over its focal length, its principal point (samples)
+    float4 around;                  // light from all around on a face of normal n: around.xyz . n + around.w, or none
 } Sizes;
 
 typedef struct {
@@ -135,6 +136,12 @@ static void normals_of(const Corners c, const Sizes sizes, floats *n)
     for (int k = 0; k < 3; ++k) n[k] *= per_length;
 }
 
+// Light from all around on sixteen faces of these normals.
+static floats from_around(const Sizes sizes, const floats x, const floats y, const floats z)
+{
+    return most_of(sizes.around.x * x + sizes.around.y * y + sizes.around.z * z + sizes.around.w, (floats)0.0f);
+}
+
 // What sixteen faces show in full light, and how they lie in the Sun's view. `share` NULL: planes are asked for.
 static void light_faces(const Body body, const Sizes sizes, const Room room, const Light light, const Corners c,
     const int first, __global const float *exponents, __global const float *share)
@@ -147,8 +154,10 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
     const ints group = ints_at(body.group + first);
     if (share) {
         __global const float *even = share + sizes.n_groups;
-        sum *= gather(share, group);
-        put(room.even + first, even[0] + even[1] * n[0] + even[2] * n[1] + even[3] * n[2]);
+        const floats own = gather(share, group);
+        sum *= own;
+        put(room.even + first, even[0] + even[1] * n[0] + even[2] * n[1] + even[3] * n[2]
+            + own * from_around(sizes, n[0], n[1], n[2]));
     } else for (int k = 0; k < 3; ++k) put(room.even + k * body.padded + first, n[k]);
     if (sizes.n_gloss > 0) {
         const floats towards = n[0] * light.half_way.x + n[1] * light.half_way.y + n[2] * light.half_way.z;

@@ -11,6 +11,7 @@ import numpy as np
 
 from gpu.mesh import Mesh, load_mesh
 from service.inference.articulation import Articulation
+from service.inference.light import Light
 from service.inference.state import Array, Poses
 from service.inference.symmetry import Symmetry
 from service.workers.base import ModelJob
@@ -40,6 +41,7 @@ class TruthFrame:
     scale: float  # px per model unit
     joints: Mapping[str, float]
     visible: bool
+    light: Light | None = None  # as a session knows it; None: alike in all frames
 
     def poses(self, articulation: Articulation) -> Poses:
         """A batch of one, its joints in the order of ``articulation``."""

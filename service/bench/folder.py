@@ -6,13 +6,16 @@ import csv
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from service.bench.cases import Case, ModelShelf, TruthFrame
+from service.bench.overflights import Overflight
+from service.inference.light import Light
 from service.inference.state import Array
 
 
@@ -45,7 +48,7 @@ class SequenceFolder:
             free=names,
             size=(int(described["width"]), int(described["height"])),
             backgrounds=self._backgrounds,
-            frames=lambda: self._frames(names),
+            frames=lambda: self._frames(names, described),
             symmetries=listed_symmetries(file, described.get("symmetry", ())),
             facts=_facts(described.get("note", "")),
             towards_sun=_direction(described.get("light", {}).get("towards_sun")),
@@ -58,12 +61,16 @@ class SequenceFolder:
         for path in sorted((self.path / "background").glob("*.png")):
             yield path.read_bytes()
 
-    def _frames(self, names: Sequence[str]) -> Iterator[tuple[bytes, TruthFrame]]:
-        for k, row in enumerate(self._rows()):
-            yield (self.path / "frames" / f"{k:03d}.png").read_bytes(), _truth(row, names)
+    def _frames(self, names: Sequence[str], described: Mapping[str, Any]) -> Iterator[tuple[bytes, TruthFrame]]:
+        files = sorted((self.path / "frames").glob("*.png"), key=lambda path: int(path.stem))
+        lights: Iterable[Light | None] = repeat(None)
+        if "pointing" in described:
+            lights = map(Overflight(described).light, self._rows(described["pointing"]))
+        for file, row, light in zip(files, self._rows(), lights, strict=False):
+            yield file.read_bytes(), replace(_truth(row, names), light=light)
 
-    def _rows(self) -> Iterator[dict[str, str]]:
-        with (self.path / "truth.csv").open(newline="") as file:
+    def _rows(self, name: str = "truth.csv") -> Iterator[dict[str, str]]:
+        with (self.path / name).open(newline="") as file:
             yield from csv.DictReader(file)
 
     def mesh(self, name: str) -> Path:

@@ -16,6 +16,7 @@ from service.bench.cases import Case
 from service.bench.scoring import FrameScore, Referee
 from service.bench.silhouette import whole_pixels
 from service.bench.told import Told
+from service.inference.light import Light
 from service.inference.params import JointParams, SessionConfig
 from service.inference.state import FilterState
 from service.sessions.frame import own_sky_frames
@@ -76,10 +77,13 @@ class BenchSession:
     scorer: str = ""
     scores: list[FrameScore] = field(default_factory=list)
 
-    def track(self, tracker: Tracker, index: int, time_s: float, body: bytes) -> FrameReport:
-        """One frame as the service would run it."""
+    def track(
+        self, tracker: Tracker, index: int, time_s: float, body: bytes, light: Light | None = None
+    ) -> FrameReport:
+        """One frame as the service would run it; ``light``: other than what the configuration says."""
+        job = self._job(self.config, index, time_s, body)
         with altered(self.entry.priors):
-            report = tracker.track(self._job(self.config, index, time_s, body))
+            report = tracker.track(job if light is None else replace(job, light=light))
         self.state, self.scorer = report.state, report.scorer
         return report
 
@@ -133,7 +137,7 @@ def run_case(
             if index == 0:
                 session.warm_up(tracker, body)
             began = time.perf_counter()
-            report = session.track(tracker, index, truth.time_s, body)
+            report = session.track(tracker, index, truth.time_s, body, terms.told.light_at(truth))
             ms = 1e3 * (time.perf_counter() - began)
             session.scores.append(referee.score(index, truth, real, report.estimate, ms))
         progress(index + 1)

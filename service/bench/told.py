@@ -10,10 +10,11 @@ import numpy as np
 from service.bench.altered import altered
 from service.bench.brightness import pixels, to_power
 from service.bench.canvas import on_canvas
-from service.bench.cases import Case
+from service.bench.cases import Case, TruthFrame
 from service.bench.cut import cut_off
 from service.bench.early import begun_early
 from service.bench.guided import by_hand
+from service.inference.light import Light
 from service.inference.params import SessionConfig
 from service.inference.pose import exp_so3, rotation_matrices
 from service.inference.state import Array
@@ -52,6 +53,14 @@ class Told:
         if self.stretch is not None:
             config = replace(config, camera=replace(config.camera, transfer=self.stretch))
         return config
+
+    def light_at(self, truth: TruthFrame) -> Light | None:
+        """What a session is told of a frame's light beside its configuration."""
+        light = truth.light if self.sun else None
+        if light is None or light.towards_sun is None or not self.sun_off_deg:
+            return light
+        x, y, z = turned(np.array(light.towards_sun), self.sun_off_deg).tolist()
+        return replace(light, towards_sun=(x, y, z))
 
     def shown(self, case: Case) -> Case:
         """The case as a camera would show it that is slow, begins early, sees more of the sky or less of the body, or

@@ -10,7 +10,7 @@ import cv2
 import typer
 
 from service.imaging.split import PNG, frame_count, split_frames
-from service.remote.media import IMAGES, media_type_of
+from service.remote.media import IMAGES, in_order, media_type_of
 
 ONE_FRAME = ("image/png", "image/jpeg")
 
@@ -29,7 +29,7 @@ class ImageFile:
 
 @dataclass(frozen=True)
 class ImageSource:
-    """A folder's images in the order of their names, or a video's frames."""
+    """A folder's images in the order of their names (``remote.media.in_order``), or a video's frames."""
 
     path: Path
     files: tuple[Path, ...]  # none for a video
@@ -55,7 +55,7 @@ class ImageSource:
 def open_images(path: Path) -> ImageSource:
     """A folder or a video file. Raises ``typer.BadParameter`` where there is nothing to read."""
     if path.is_dir():
-        files = tuple(sorted(p for p in path.iterdir() if _holds_images(p)))
+        files = tuple(in_order(p for p in path.iterdir() if _holds_images(p)))
         if not files:
             raise typer.BadParameter(f"{path} holds no image ({', '.join((*IMAGES, SER))})")
         single = all(media_type_of(p.name) in ONE_FRAME for p in files)

@@ -13,7 +13,7 @@ import typer
 from service.api.schemas import Session
 from service.cli.options import choose_joints
 from service.client import Client, RefusedError
-from service.remote.media import media_type_of
+from service.remote.media import in_order, media_type_of
 
 NOTE = ".skypose-ingest.json"
 
@@ -97,7 +97,7 @@ def begin_session(client: Client, plan: SessionPlan, first_frame: Path) -> Sessi
 
 def background_files(source: Path) -> list[Path]:
     """A file, or a folder's images. Raises ``typer.BadParameter`` where there is none."""
-    files = sorted(source.iterdir()) if source.is_dir() else [source]
+    files = in_order(source.iterdir()) if source.is_dir() else [source]
     known = [path for path in files if path.is_file() and media_type_of(path.name) is not None]
     if not known:
         raise typer.BadParameter(f"--background: {source} holds no image")

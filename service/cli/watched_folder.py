@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from service.remote.media import media_type_of
+from service.remote.media import in_order, media_type_of
 
 Stamp = tuple[int, int]  # bytes, nanoseconds of the last change
 
@@ -52,7 +52,7 @@ class WatchedFolder:
 
     def _files(self) -> list[Path]:
         names = (path for path in self.folder.iterdir() if not path.name.startswith("."))
-        return sorted(path for path in names if media_type_of(path.name) is not None)
+        return in_order(path for path in names if media_type_of(path.name) is not None)
 
 
 def _stamp(path: Path) -> Stamp | None:

@@ -22,6 +22,7 @@ class Light:
     sunlit: float | None = None  # share of the Sun's disc that the Earth leaves free, 0 (umbra) to 1
     earth: Vector | None = None  # from the object to the Earth's centre
     earthshine: float | None = None  # expected, as a share of the Sun's own light outside of the shadow
+    earth_aside: float | None = None  # of that, what comes to a face that is turned across the Earth
     mirrored: bool = False
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path, PurePath
 
 IMAGES = {
@@ -35,9 +37,18 @@ def media_type_of(name: str) -> str | None:
     return MEDIA_TYPES.get(path.suffix)
 
 
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """By their names, numbers in them by their size: ``frame_2.png`` is before ``frame_10.png``."""
+
+    def key(path: Path) -> list[tuple[int, str]]:
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+    return sorted(paths, key=key)
+
+
 def frames_in(folder: Path) -> list[Path]:
-    """Images and videos of a folder in the order of their names. Raises ``FileNotFoundError`` where there is none."""
-    found = sorted(path for path in folder.iterdir() if path.is_file() and media_type_of(path.name) is not None)
+    """Images and videos of a folder, in order. Raises ``FileNotFoundError`` where there is none."""
+    found = in_order(path for path in folder.iterdir() if path.is_file() and media_type_of(path.name) is not None)
     if not found:
         raise FileNotFoundError(f"no image or video in {folder}")
     return found

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from service.attitude.shadow import earthshine, sunlit_share
+from service.attitude.shadow import earth_aside, earthshine, sunlit_share
 from service.attitude.sun import in_camera, phase_angle_deg, sun_from_earth
 from service.errors import InputError
 from service.inference.light import Light, Vector, unit
@@ -77,6 +77,7 @@ def light_at(
             sunlit=sunlit_share(place_km, sun_km),
             earth=None if camera is None else _vector(in_camera(-place_km, camera)),
             earthshine=earthshine(place_km, sun_km),
+            earth_aside=earth_aside(place_km),
         )
     sigma = float(np.deg2rad(config.light.sun_sigma_deg))
     if told is not None:

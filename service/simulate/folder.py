@@ -56,10 +56,10 @@ def write_sequence(
     if simulated.looks:
         write_pointing(simulated, folder / POINTING)
     images = [("background", simulated.backgrounds()), ("frames", simulated.frames())]
-    done = 0
+    done, digits = 0, max(3, len(str(scenario.motion.frames - 1)))  # names stay in order
     for name, source in images:
         for k, image in enumerate(source):
-            (folder / name / f"{k:03d}.png").write_bytes(encode_png(image))
+            (folder / name / f"{k:0{digits}d}.png").write_bytes(encode_png(image))
             done += 1
             if progress is not None:
                 progress(done, total)

@@ -20,14 +20,14 @@ from service.inference.filters.mixture import step
 from service.inference.light import Light
 from service.inference.model.drawing import EVEN_PLANES, Lens
 from service.inference.model.paint import unlearnt
-from service.inference.model.prior import GLOSS_LOBES
+from service.inference.model.prior import EVEN_MEAN, GLOSS_LOBES, LightPrior, earthlight
 from service.inference.model.search import make_bank
 from service.inference.model.stages import Body
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.model.templates import Bank
 from service.inference.numerics.priors import PosePrior
 from service.inference.params import SessionConfig
-from service.inference.state import Array, Estimate, FilterState
+from service.inference.state import Estimate, FilterState
 from service.inference.symmetry import Symmetry
 from service.workers.base import FrameJob, ReadyJob
 from service.workers.cache import Cache
@@ -40,6 +40,8 @@ from service.workers.smoothing import with_rates
 
 _BANKS, _BANK_BYTES = 8, 1 << 28  # 29 MB each, 87 of a body with two joints
 _SAME_SUN_RAD = 0.05  # templates 12 degrees apart do not feel it
+_SAME_AROUND = 0.1  # of the Earth's light: nor this
+_LEAST_SUNLIT = 0.01  # numerical: of the Sun's disc: in its last crescent all light is the Earth's
 _ANY_SUN_RAD = 1.0  # what is believed of a Sun that is not told: it is searched
 
 
@@ -120,10 +122,10 @@ class Following:
 
     def _bank(self, key: str, body: Body, told: PosePrior) -> Bank:
         """The templates of a body, made anew when the Sun has moved."""
-        kept = self._banks.get(key, lambda: _Kept(told.towards_sun, make_bank(body, told)))
-        if not kept.serves(told.towards_sun):
+        kept = self._banks.get(key, lambda: _Kept(told, make_bank(body, told)))
+        if not kept.serves(told):
             self._banks.forget(key)
-            kept = self._banks.get(key, lambda: _Kept(told.towards_sun, make_bank(body, told)))
+            kept = self._banks.get(key, lambda: _Kept(told, make_bank(body, told)))
         return kept.bank
 
 
@@ -133,15 +135,17 @@ def stream_of(seed: int, index: int) -> np.random.Generator:
 
 
 class _Kept:
-    """A bank, and the Sun that it is of."""
+    """A bank, and the light that it is of."""
 
-    def __init__(self, sun: Array | None, bank: Bank) -> None:
-        self.bank, self._sun = bank, sun
+    def __init__(self, told: PosePrior, bank: Bank) -> None:
+        self.bank, self._sun, self._around = bank, told.towards_sun, np.array(told.light.around)
 
-    def serves(self, sun: Array | None) -> bool:
+    def serves(self, told: PosePrior) -> bool:
+        sun, around = told.towards_sun, np.array(told.light.around)
         if sun is None or self._sun is None:
             return sun is None and self._sun is None
-        return float(np.linalg.norm(sun - self._sun)) < _SAME_SUN_RAD
+        off = np.linalg.norm(around - self._around) / max(float(np.linalg.norm(self._around)), EVEN_MEAN)
+        return float(np.linalg.norm(sun - self._sun)) < _SAME_SUN_RAD and float(off) < _SAME_AROUND
 
 
 def n_paint(body: Body) -> int:
@@ -178,4 +182,13 @@ def sun_of(config: SessionConfig, light: Light | None) -> PosePrior:
     x, y, z = light.towards_sun
     sun = np.array([x, y, -z if light.mirrored else z])
     sigma = float(np.deg2rad(config.light.sun_sigma_deg)) if light.sigma_rad is None else light.sigma_rad
-    return replace(told, towards_sun=sun / np.linalg.norm(sun), sun_sigma=sigma)
+    return replace(told, towards_sun=sun / np.linalg.norm(sun), sun_sigma=sigma, light=earthlight_of(light))
+
+
+def earthlight_of(light: Light) -> LightPrior:
+    """What is known of the light beside the Sun's: by how much of that the Earth dims, the Earth's is more."""
+    if light.earth is None or light.earthshine is None or light.earth_aside is None or not light.earthshine:
+        return LightPrior()
+    x, y, z = light.earth
+    strength = light.earthshine / max(1.0 if light.sunlit is None else light.sunlit, _LEAST_SUNLIT)
+    return earthlight((x, y, -z if light.mirrored else z), strength, light.earth_aside)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from service.inference.model import templates as T
 from service.inference.model.drawing import Drawing, Quality, View
+from service.inference.model.prior import EVEN_MEAN
 from service.inference.model.spread import LEAST, band
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.state import Array, Poses
@@ -32,15 +33,24 @@ _AROUND, _LEAST_AROUND_PX = 0.45, 0.4  # numerical: width of a look's sampling, 
 _BEYOND = (1.25, 1.5, 1.8)  # numerical: times as long as what is seen of it: a body that goes on where nothing is
 _KNOWN = 0.5  # numerical: share of a template's pixel that is seen
 _LEAST_SHOWN = 0.2  # numerical: of a template's variance, in what is seen: less of it tells nothing
+_EVEN = (0.0, 0.0, 0.0, EVEN_MEAN)  # exact: light from everywhere
 _CHUNK = 512  # numerical: templates drawn at once
 
 
-def build(drawing: Drawing, suns: Array, tracking: SunTracking | None = None) -> T.Bank:
-    """Draw as many templates as ``suns`` (N, 3), in camera axes, has rows; ``tracking``: joints that follow them."""
+def build(
+    drawing: Drawing,
+    suns: Array,
+    tracking: SunTracking | None = None,
+    around: tuple[float, float, float, float] = _EVEN,
+) -> T.Bank:
+    """Draw as many templates as ``suns`` (N, 3), in camera axes, has rows; ``tracking``: joints that follow them.
+
+    ``around``: other light (``prior.LightPrior``).
+    """
     count = len(suns)
     quaternion = T.rotations(count)
     joints = T.drawn_joints(drawing.articulation, count)
-    draft = View((0.0, 0.0), 1.0, T._FIRST_SIDE)
+    draft = View((0.0, 0.0), 1.0, T._FIRST_SIDE, around=around)
     middle = np.full((count, 2), T._FIRST_SIDE / 2)
     size = np.full(count, np.log(0.5 * T._FIRST_SIDE / drawing.radius))
     first = Poses(quaternion, middle, size, joints)
@@ -52,7 +62,7 @@ def build(drawing: Drawing, suns: Array, tracking: SunTracking | None = None) ->
         centre, rim = (np.concatenate(part) for part in zip(*[one.result() for one in looks], strict=True))
         zoom = T._RIM_PX / rim
         poses = Poses(quaternion, (middle - centre) * zoom[:, None] + T.SIDE / 2, size + np.log(zoom), joints)
-        view = View((0.0, 0.0), 1.0, T.SIDE)
+        view = View((0.0, 0.0), 1.0, T.SIDE, around=around)
         kinds, done, made = np.empty((len(T.KINDS), count, T.SIDE**2), np.float32), 0, []
         for light, outline in _draw(drawing, poses, suns, view, _PICTURE):
             made.append(other.submit(T.kinds_of, light, outline, kinds[:, done : done + len(light)]))
@@ -66,7 +76,7 @@ def _draw(drawing: Drawing, poses: Poses, suns: Array, view: View, quality: Qual
     for first in range(0, len(poses), _CHUNK):
         moved = drawing.transforms(poses[first : first + _CHUNK], view)
         sizes = {"side": view.side, "supersample": quality.supersample, "shadow_px": quality.shadow_px}
-        drawn = drawing.shaded.pictures(moved, suns[first : first + _CHUNK], **sizes)
+        drawn = drawing.shaded.pictures(moved, suns[first : first + _CHUNK], **sizes, around=view.around)
         yield drawn[:, 0], drawn[:, 1]
 
 

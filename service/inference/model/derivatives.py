@@ -40,6 +40,14 @@ def steps_of(drawing: Drawing, view: View, difference: float, poses: Poses) -> t
     return turn, np.column_stack(joints) if joints else np.zeros((len(poses), 0))
 
 
+def turns_drawn(view: View, sun_free: bool) -> int:
+    """Axes of the camera about which a turn is drawn: not the line of sight, where the Sun's own moves are drawn.
+
+    But there where the Earth shines from a side: it would have to turn, too.
+    """
+    return 2 if sun_free and not any(view.around[:2]) else 3
+
+
 def derivatives(
     drawing: Drawing,
     view: View,
@@ -60,7 +68,7 @@ def derivatives(
     turn, joint = steps_of(drawing, view, difference, poses)
     rotation = rotation_matrices(poses.quaternion)
     if view.lens is None:
-        turned = 2 if sun_free else 3  # axes of the camera about which a turn is drawn
+        turned = turns_drawn(view, sun_free)
         steps = np.concatenate([np.repeat(turn[:, None], turned, 1), joint], axis=1)
         moves = np.zeros((n, turned + j, 6 + j))
         moves[:, :turned, :3] = turn[:, None, None] * rotation[:, :turned]  # about the camera's, seen from the body
@@ -72,7 +80,7 @@ def derivatives(
     pairs, here = _drawn(drawing, view, quality, poses, suns, coefficients, moves, sun_free)
     gaps = np.concatenate([steps, np.full((n, pairs.shape[2] - steps.shape[1]), _SUN_STEP)], axis=1)
     if view.lens is None:
-        mixes = _mixes(rotation, suns, j, view, sun_free)
+        mixes = _mixes(rotation, suns, j, view, turned, sun_free)
     else:
         mixes = np.tile(np.eye(gaps.shape[1]), (n, 1, 1))
     mixes[:, :, : gaps.shape[1]] *= 0.5 / gaps[:, None]
@@ -112,16 +120,16 @@ def _drawn(
     return pairs, images[2 * drawn * n :] if view.lens is None else None
 
 
-def _mixes(rotation: Array, suns: Array, j: int, view: View, sun_free: bool) -> Array:
+def _mixes(rotation: Array, suns: Array, j: int, view: View, turned: int, sun_free: bool) -> Array:
     """(N, D, K + 4) what each derivative is of the K that are drawn and of the four of ``_of_places``.
 
     Turns about the camera's axes are told as turns of the body; the third is the picture's and the Sun's.
     """
-    n, turned, suns_moved = len(suns), 2 if sun_free else 3, 2 if sun_free else 0
+    n, suns_moved = len(suns), 2 if sun_free else 0
     drawn = turned + j + suns_moved
     camera = np.zeros((n, 3, drawn + 4))
     camera[:, range(turned), range(turned)] = 1.0
-    if sun_free:
+    if turned < 3:
         aside = np.stack([suns[:, 1], -suns[:, 0], np.zeros(n)], axis=1)  # suns x the line of sight
         camera[:, 2, turned + j : drawn] = [across(sun) @ moved for sun, moved in zip(suns, aside, strict=True)]
         camera[:, 2, drawn + 3] = 1.0

@@ -31,6 +31,7 @@ class Shaded(Protocol):
         shadow_px: int,
         gloss: tuple[float, ...] = ...,
         lens: tuple[float, float, float] = ...,
+        around: tuple[float, float, float, float] = ...,
     ) -> Images:
         """(N, P, 3, 4) transforms to the patch -> (N, Q, side, side): groups, coverage, normals, gloss of groups."""
         ...
@@ -46,6 +47,7 @@ class Shaded(Protocol):
         shadow_px: int,
         gloss: tuple[float, ...] = ...,
         lens: tuple[float, float, float] = ...,
+        around: tuple[float, float, float, float] = ...,
     ) -> Images:
         """(N, P, 3, 4) transforms and (Q,) or (N, Q) coefficients -> (N, side, side) sums of the planes."""
         ...
@@ -58,6 +60,7 @@ class Shaded(Protocol):
         side: int,
         supersample: int,
         shadow_px: int,
+        around: tuple[float, float, float, float] = ...,
     ) -> Images:
         """(N, P, 3, 4) transforms -> (N, 2, side, side): all groups alike, and the coverage."""
         ...
@@ -135,13 +138,14 @@ class Lens:
 class View:
     """A square of the frame: its first corner (frame px), frame px per patch px, patch px a side.
 
-    ``lens``: of a pinhole camera; None: weak perspective.
+    ``lens``: of a pinhole camera; None: weak perspective. ``around``: the Earth's light (``prior.LightPrior``).
     """
 
     origin: tuple[float, float]
     binning: float
     side: int
     lens: Lens | None = None
+    around: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def patch_lens(self) -> tuple[float, float, float]:
@@ -179,6 +183,7 @@ class Drawing:
             shadow_px=quality.shadow_px,
             gloss=quality.gloss,
             lens=view.patch_lens,
+            around=view.around,
         )
 
     def combined(self, poses: Poses, sun: Array, coefficients: Images, view: View, quality: Quality) -> Images:
@@ -192,4 +197,5 @@ class Drawing:
             shadow_px=quality.shadow_px,
             gloss=quality.gloss,
             lens=view.patch_lens,
+            around=view.around,
         )

@@ -10,6 +10,7 @@ EVEN_TILT_SIGMA = 0.02  # by each part of the normal, share of the frame's brigh
 # goes with the normal, and the brighter light is of paint brighter than most
 GLOSS_SHARE, GLOSS_LOG_SIGMA = 0.15, 1.3  # of a group's gloss, share of the gain
 GLOSS_LOBES = (20.0,)  # exponent of (n . h): brushed metal
+EARTH_UNSURE = 0.5  # of the Earth's light, where it is told: clouds halve or double it
 HIDDEN_MEAN, HIDDEN_SIGMA = 0.3, 0.4  # share of the sky's light that the body hides
 HIDDEN_ALIKE = 0.01  # about that of a frame, which all poses share
 SKY_SIGMAS = 2.0  # level and slopes that are left over, in noise of a pixel of empty sky
@@ -77,7 +78,18 @@ RIM_ALIKE_PX = 8.0  # frame px along a rim over which the slopes across it are a
 
 @dataclass(frozen=True)
 class LightPrior:
-    """What is told of the even light: its share of the Sun's."""
+    """What is told of the light that is not the Sun's, as shares of it.
+
+    ``around``: of the Earth, where it is known: a face of normal n has max(0, around[:3] . n + around[3]) of it, as it
+    is painted; even light is then what is left over.
+    """
 
     even_mean: float = EVEN_MEAN
     even_sigma: float = EVEN_SIGMA
+    around: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
+def earthlight(direction: tuple[float, float, float], strength: float, aside: float) -> LightPrior:
+    """The Earth's light, told: unit vector towards it, light of a face that faces it, and of that what others have."""
+    x, y, z = (strength * (1 - aside) * part for part in direction)
+    return LightPrior(0.0, EARTH_UNSURE * strength, (x, y, z, strength * aside))

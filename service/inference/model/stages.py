@@ -201,8 +201,9 @@ def stage_hill(
         hides=nuisance.hides,
         seen_photon=patch.photon,
         uneven=patch.uneven,
+        light=told.light,
     )
-    view = View(patch.origin, patch.binning, len(patch.image), sight.lens)
+    view = View(patch.origin, patch.binning, len(patch.image), sight.lens, told.light.around)
     free = speckle or told.towards_sun is None
     rounds = 6 if speckle else COARSE_ROUNDS
     return Hill(scene, drawing, view, told, stage.quality, stage.difference, free, rounds, stage.trust)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.estimate import tangent
+from service.inference.model.prior import LightPrior
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.state import Array, Poses
 
@@ -21,6 +22,7 @@ class PosePrior:
     towards_sun: Array | None = None  # (3,) unit
     sun_sigma: float = 0.0175  # rad
     tracking: SunTracking | None = None  # joints that turn panels towards the Sun
+    light: LightPrior = field(default_factory=LightPrior)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from service.attitude.camera import Site, equatorial_camera
 from service.attitude.earth import gcrf_to_itrf, zenith_frame
 from service.attitude.orbit import Orbit
 from service.attitude.pointing import CameraOrientation, Mount, Pointing, camera_orientation
-from service.attitude.shadow import EARTH_RADIUS_KM, earthshine, shade, sunlit_share
+from service.attitude.shadow import EARTH_RADIUS_KM, earth_aside, earthshine, shade, sunlit_share
 from service.attitude.sun import AU_KM, in_camera, phase_angle_deg, sun_from_earth
 from service.errors import InputError
 
@@ -211,3 +211,13 @@ def test_earthshine():
     assert dusk == pytest.approx(noon / np.pi)
     assert earthshine(np.array([-7000.0, 0, 0]), sun) == pytest.approx(0, abs=1e-9)
     assert earthshine(np.array([42_164.0, 0, 0]), sun) == pytest.approx(noon * (7000 / 42_164) ** 2)
+
+
+@pytest.mark.parametrize("height_km", [400, 1500, 36_000])
+def test_the_earth_lights_a_face_across_it_less(height_km):
+    distance = EARTH_RADIUS_KM + height_km
+    rim = np.arcsin(EARTH_RADIUS_KM / distance)
+    rng = np.random.default_rng(0)
+    cosine, turn = rng.uniform(np.cos(rim), 1.0, 400_000), rng.uniform(0, 2 * np.pi, 400_000)  # evenly over its disc
+    facing, across = cosine.mean(), np.maximum(np.sqrt(1 - cosine**2) * np.cos(turn), 0).mean()
+    assert earth_aside(np.array([0, distance, 0.0])) == pytest.approx(across / facing, rel=0.02)

@@ -13,6 +13,9 @@ from service.attitude.camera import Site, direction, equatorial_camera
 from service.attitude.earth import gcrf_to_itrf
 from service.attitude.orbit import Orbit
 from service.attitude.sun import sun_from_earth
+from service.bench.cases import ModelShelf
+from service.bench.folder import find_sequences
+from service.bench.told import Told
 from service.cli import app
 from service.inference.pose import angle_between, from_matrices, rotation_matrices
 from service.sessions.config import effective
@@ -21,6 +24,7 @@ from service.simulate.motion import Motion
 from service.simulate.overflight import Overflight, OverflightError
 from service.simulate.scenario import PRESETS
 from service.simulate.sequence import SimulatedPass
+from service.workers.tracker import Tracker
 
 TLE = (
     "1 25544U 98067A   19343.69339541  .00001764  00000-0  38792-4 0  9991\n"
@@ -144,6 +148,34 @@ def test_the_folder_tells_a_session_all_that_it_can_be_told(demo, tmp_path):
     effective(
         {"camera": {**{f"site_{k}": v for k, v in case["site"].items()}, **case["camera"]}}
     )  # as a session has it
+
+
+def test_a_bench_is_told_the_light_of_each_frame(demo, tmp_path):
+    data, _, _ = demo
+    simulated = passed(demo, motion=replace(MOTION, frames=3, frame_interval_s=30.0))
+    write_sequence(simulated, tmp_path / "pass", "demo.glb", data)
+    case = find_sequences(tmp_path)[0].case(ModelShelf(Tracker()))
+    seen = [truth.light for _, truth in case.frames()]
+    assert len(seen) == 3
+    for k, light in enumerate(seen):
+        np.testing.assert_allclose(light.towards_sun, simulated.light(k).direction(), atol=2e-5)
+        np.testing.assert_allclose(light.earth, simulated.light(k).towards_earth, atol=1e-5)
+        assert light.earthshine == pytest.approx(simulated.light(k).earth, rel=1e-6)
+    assert np.linalg.norm(np.subtract(seen[0].towards_sun, seen[2].towards_sun)) > 0.05
+    _, third = list(case.frames())[2]
+    assert Told(sun=False).light_at(third) is None
+    off = Told(sun_off_deg=5.0).light_at(third).towards_sun
+    assert np.dot(off, seen[2].towards_sun) == pytest.approx(np.cos(np.deg2rad(5.0)))
+
+
+def test_names_of_many_frames_stay_in_order(demo, tmp_path):
+    data, _, _ = demo
+    simulated = passed(demo, motion=replace(MOTION, frames=1001, frame_interval_s=0.01))
+    few = iter([np.zeros((4, 4), np.uint8)] * 1001)
+    simulated.frames = lambda: few
+    write_sequence(simulated, tmp_path, "demo.glb", data)
+    names = [path.name for path in sorted((tmp_path / "frames").iterdir())]
+    assert (names[0], names[-1], len(names)) == ("0000.png", "1000.png", 1001)
 
 
 def test_on_the_command_line(tmp_path):
