@@ -26,6 +26,7 @@ from service.inference.state import Array, Poses
 _ROUNDS = 3  # numerical: of reweighting
 _FAINT = 1e-3  # numerical: of the brightest pixel: what is less moves nothing
 _ALIKE = 0.7  # numerical: of the greatest likeness: from there steps lead to it
+_SOME = ([0], [1], [0, 1])  # exact: of at most two pictures those that are there
 _LEAST = 1e-3  # numerical: of the first guess of its light: the body is never thought dark
 
 
@@ -58,9 +59,12 @@ def _start(terms: Terms, parts: Images, precision: Array, away: Array) -> Array:
     likeness = np.fft.irfft2(np.fft.rfft2(data) * np.conj(np.fft.rfft2(pictures)), s=data.shape)
     flat = pictures.reshape(len(parts), -1).astype(np.float64)
     pull = likeness / terms.noise + (precise * mean)[:, None, None]
-    bright = np.tensordot(np.linalg.inv(flat @ flat.T / terms.noise + np.diag(precise)), pull, 1)
-    nats = 0.5 * np.sum(bright * pull, axis=0) - 0.5 * float(precise @ mean**2)
-    nats[(bright < 0).any(axis=0)] = 0.0  # it neither takes light away nor gives the sky more
+    normal, nats = flat @ flat.T / terms.noise + np.diag(precise), np.zeros(data.shape)
+    for some in _SOME[: 2 * len(parts) - 1]:  # it neither takes light away nor gives the sky more: then it has none
+        bright = np.tensordot(np.linalg.inv(normal[np.ix_(some, some)]), pull[some], 1)
+        gained = 0.5 * np.sum(bright * pull[some], axis=0)
+        nats = np.where((bright >= 0).all(axis=0), np.maximum(nats, gained), nats)
+    nats -= 0.5 * float(precise @ mean**2)
     half = len(data) // 2
     shifts = (np.arange(len(data)) + half) % len(data) - half
     off = np.stack(np.meshgrid(shifts, shifts), axis=-1) + away
@@ -116,9 +120,9 @@ def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: flo
     flat = parts[:, 0].reshape(m, -1).astype(np.float64)
     normal = flat @ flat.T / terms.noise + np.diag(precise)
     bright = np.linalg.solve(normal, flat @ data.ravel() / terms.noise + precise * mean)
-    if bright[-1] <= 0:  # nothing of it shows
+    if (bright <= 0).all():  # nothing of it shows
         return np.zeros(2)
-    bright[0] = max(bright[0], 0.0)
+    bright = np.maximum(bright, 0.0)
     least, best, highest, move, level = _LEAST * bright[0], np.zeros(2), -np.inf, np.zeros(2), 0.0
     for _ in range(_ROUNDS + 1):
         there = np.stack([_shifted(one, move) for one in parts])
@@ -145,7 +149,7 @@ def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: flo
         pull[-2:] -= precision @ off
         step = np.linalg.solve(normal, pull)
         bright, level, move = bright + step[:m], level + float(step[m]), move + step[-2:]
-        bright[0] = max(bright[0], least)
+        bright = np.maximum(bright, [least, *[0.0] * (m - 1)])
     return best
 
 

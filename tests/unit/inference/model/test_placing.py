@@ -9,7 +9,7 @@ from lit_body import FINEST, QUALITY, SIDE, SUN, VIEW, lit_body, pose, scene, se
 from service.inference.model.paint import unlearnt
 from service.inference.model.scene import Scene
 from service.inference.numerics.hill import Hill
-from service.inference.numerics.placing import _move, placed
+from service.inference.numerics.placing import _move, _start, placed
 from service.inference.numerics.priors import Believed, PosePrior
 from service.inference.pose import concatenate
 from service.inference.state import Poses
@@ -44,11 +44,16 @@ def test_a_body_that_jumped_is_where_its_light_is():
     np.testing.assert_array_equal(out.quaternion, np.repeat(pose().quaternion, 3, 0))
 
 
-def by_day(gain: float = 15.0) -> Scene:
-    """A body darker than the sky, of which it hides more than is expected."""
+def covering() -> np.ndarray:
+    """Coefficients of the body's coverage."""
     cover = np.zeros(len(shares(lit_body(), 1.0)), np.float32)
     cover[lit_body().n_groups] = 1.0
-    return frame(-0.8 * SKY * seen(pose(), cover), gain=gain, sky=SKY)
+    return cover
+
+
+def by_day(gain: float = 15.0) -> Scene:
+    """A body darker than the sky, of which it hides more than is expected."""
+    return frame(-0.8 * SKY * seen(pose(), covering()), gain=gain, sky=SKY)
 
 
 @pytest.mark.parametrize("gain", [15.0, 0.0])
@@ -59,7 +64,23 @@ def test_by_day_a_body_is_where_the_sky_is_hidden(gain):
     np.testing.assert_allclose(out.position, np.repeat(pose().position, 3, 0), atol=0.5)
 
 
-@pytest.mark.parametrize("given", [frame, by_day])
+def hides_nothing() -> Scene:
+    """Of a sky brighter than a white surface, most of it what the sensor adds; the body shows light from all sides."""
+    return frame(0.05 * 700.0 * seen(pose(), covering()), sky=3000.0)
+
+
+def test_a_body_that_hides_less_than_nothing_stays_where_it_is():
+    """It is brighter in its midst than is expected, which best goes with less than nothing that is hidden."""
+    y, x = np.mgrid[:SIDE, :SIDE] - SIDE / 2
+    wide, narrow = (np.exp(-(x**2 + y**2) / (2 * s**2)).astype(np.float32) for s in (6.0, 4.0))
+    parts = np.zeros((2, 3, SIDE, SIDE), np.float32)
+    parts[0, 0], parts[1, 0] = wide, -3000.0 * narrow
+    given = scene(60 * wide + 200 * narrow, SIGMA, sky=3000.0, low_pass=FINEST)
+    terms = Hill(given, lit_body(), VIEW, PosePrior()).terms
+    assert not _start(terms, parts, 1e-4 * np.eye(2), np.zeros(2)).any()
+
+
+@pytest.mark.parametrize("given", [frame, by_day, hides_nothing])
 def test_a_jump_by_more_than_steps_can_follow(given):
     """By day, too: a body darker than the sky is dark where it lies."""
     out = found(given(), moved(np.array([[13.0, -9.0]])), sigma_px=50.0)
