@@ -14,6 +14,7 @@ from service.inference.numerics.priors import PosePrior
 from service.inference.pose import exp_so3, multiply, rotation_matrices
 from service.inference.state import Poses
 
+_OF_THEM = 0.7  # numerical: of the templates, in a later search
 _PER_KIND = 80  # numerical: templates of each kind that are looked at with the likelihood
 # numerical: templates and ways to turn the frame together where no Sun is told: rotation and Sun 20 degrees apart
 _TURNED = 72_000
@@ -24,17 +25,23 @@ def turns(n_templates: int, told: PosePrior) -> int:
     return 1 if told.towards_sun is not None else max(round(_TURNED / n_templates), 1)
 
 
-def propose(bank: Bank, patch: PatchLike, told: PosePrior, part: Part = WHOLE) -> Candidates:
+def propose(
+    bank: Bank, patch: PatchLike, told: PosePrior, part: Part = WHOLE, rng: np.random.Generator | None = None
+) -> Candidates:
     """The templates most like the frame: the best of each kind.
 
     Where no Sun is told, a template is as good for a body that is turned about the line of sight together with its
     Sun: the frame, turned a few ways, is held against all of them.
     ``part``: has a share of the ways, or of the templates where there is one way.
+    ``rng``: where there is one way, some of the templates are left out, so that those have their turn that they crowd
+    out.
     """
     count, kept = turns(len(bank.poses), told), part.share(_PER_KIND)
     ways = 2 * np.pi / count * np.arange(count)
     if count == 1:
         bank = bank[part.own]
+        if rng is not None:
+            bank = bank[rng.random(len(bank.poses)) < _OF_THEM]
     else:
         ways = ways[part.own]
     met = [_met(bank, patch, told, way, kept, roughly=count > 1) for way in ways]

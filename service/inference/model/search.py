@@ -157,7 +157,7 @@ def started(
     wanted: Callable[[Hill, Candidates], Candidates] | None = None,
 ) -> Candidates:
     """From templates to the basins of the roughest stage; ``wanted``: those of them that go on."""
-    some = propose(bank, sight.cut(sight.span, MIDDLE.wanted), told, part)
+    some = propose(bank, sight.cut(sight.span, MIDDLE.wanted), told, part, rng)
     if sight.lens is not None:
         some = replace(some, poses=sight.lens.aimed(some.poses))
     if not len(some):

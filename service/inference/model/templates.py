@@ -41,7 +41,7 @@ class Bank:
     poses: Poses  # N; position: of the body's centre from the middle of the lit light, scale: both in template px
     pictures: Images  # (kinds, N, SIDE * SIDE), zero mean, unit length
 
-    def __getitem__(self, index: slice) -> Bank:
+    def __getitem__(self, index: slice | NDArray[np.bool_]) -> Bank:
         return Bank(self.suns[index], self.poses[index], self.pictures[:, index])
 
     @property

@@ -49,6 +49,19 @@ def test_proposals_keep_to_a_told_scale():
     assert np.abs(some.poses.log_scale - at.log_scale).max() < 3 * 0.02 + 0.1
 
 
+def test_a_later_search_proposes_some_that_were_crowded_out():
+    """Other ones each time, most of them the same."""
+    sight = sight_of(truth(4, False))
+    patch = sight.cut(sight.span, 28.0)
+
+    def proposed(rng: np.random.Generator | None) -> set[tuple[float, ...]]:
+        return {tuple(q) for q in propose(bank(False), patch, TOLD, rng=rng).poses.quaternion}
+
+    first, later, other = proposed(None), *(proposed(np.random.default_rng(seed)) for seed in (1, 2))
+    assert 0.5 < len(first & later) / len(first) < 0.9
+    assert later - first and other - first and later != other
+
+
 def test_without_a_told_sun_a_template_stands_for_a_body_turned_together_with_its_sun(monkeypatch):
     """Of one template alone, and a frame that shows it turned by an eighth about the line of sight."""
     monkeypatch.setattr(proposing, "_TURNED", 16)
