@@ -13,7 +13,7 @@ from gpu.mesh import Mesh
 from gpu.program import constant, device_errors
 from gpu.shaded_faces import FaceTable, Indices, face_table
 from gpu.shaded_forms import FacesOnDevice, Sizes, form_on
-from gpu.shaded_reference import DARK, EVEN_PLANES
+from gpu.shaded_reference import DARK, EVEN_PLANES, Around
 from gpu.shaded_views import SIDE, views_of_part
 
 Numbers = NDArray[np.float32]
@@ -85,7 +85,7 @@ class ShadedBody:
         shadow_px: int,
         gloss: tuple[float, ...] = (),
         lens: Lens = NO_LENS,
-        around: tuple[float, float, float, float] = DARK,
+        around: Around = DARK,
     ) -> Numbers:
         """(N, G + 4 + L G, side, side): each group in the Sun's light, coverage, normals, then each group's lobes.
 
@@ -108,7 +108,7 @@ class ShadedBody:
         shadow_px: int,
         gloss: tuple[float, ...] = (),
         lens: Lens = NO_LENS,
-        around: tuple[float, float, float, float] = DARK,
+        around: Around = DARK,
     ) -> Numbers:
         """(N, side, side) sums of the planes times ``coefficients``, (G + 4 + L G,) or (N, G + 4 + L G)."""
         given = self._given(part_transforms, towards_sun)
@@ -124,7 +124,7 @@ class ShadedBody:
         supersample: int,
         shadow_px: int,
         lens: Lens = NO_LENS,
-        around: tuple[float, float, float, float] = DARK,
+        around: Around = DARK,
     ) -> Numbers:
         """(N, 2, side, side): all groups in the Sun's light and that from all around, and the coverage."""
         given = self._given(part_transforms, towards_sun)

@@ -25,7 +25,7 @@ from gpu.program import (
     zero,
 )
 from gpu.shaded_faces import LANES
-from gpu.shaded_reference import BIAS_TEXELS, DARK, EVEN_PLANES, STEEPEST
+from gpu.shaded_reference import BIAS_TEXELS, DARK, EVEN_PLANES, STEEPEST, Around
 
 Numbers = NDArray[np.float32]
 FACES = ("lanes.cl", "shaded_faces.cl", "shaded_light.cl")
@@ -59,7 +59,7 @@ class Sizes:
     n_groups: int
     gloss: tuple[float, ...] = ()
     lens: Lens = NO_LENS
-    around: tuple[float, float, float, float] = DARK
+    around: Around = DARK
 
     @property
     def shadow_side(self) -> int:

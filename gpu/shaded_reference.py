@@ -15,7 +15,8 @@ from gpu.zbuffer import Visible, rasterise
 Floats = NDArray[np.float64]
 BIAS_TEXELS = 0.3  # a face this much deeper than what the Sun's view holds is still in the light
 STEEPEST = 100.0  # of a face in the Sun's view, texels of depth for each texel
-DARK = (0.0, 0.0, 0.0, 0.0)  # no light from all around
+Around = tuple[float, float, float, float]
+DARK: Around = (0.0, 0.0, 0.0, 0.0)  # no light from all around
 EVEN_PLANES = 4  # coverage, and the mean normal's three parts
 _BORDER = 1.0  # texels around the body in the Sun's view
 _CAMERA = np.array([0.0, 0.0, -1.0])  # towards it
@@ -38,7 +39,7 @@ class Drawing:
     shadow_px: int
     gloss: tuple[float, ...] = ()
     lens: Lens = NO_LENS
-    around: tuple[float, float, float, float] = DARK
+    around: Around = DARK
 
 
 def reference_planes(

@@ -122,6 +122,7 @@ static void give_pixel(const Body body, const Sizes sizes, const Group g, const 
             const float4 shown = g.records.faces[2 * face], n = g.records.faces[2 * face + 1];
             covered += each;
             normal += each * n.xyz;
+            if (shown.x == 0.0f && n.w == 0.0f) continue;
             const int own = as_int(shown.w);
             if (own != group && sum != 0.0f) {
                 to[group * pixels] += sum;

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from service.bench.cases import Case, ModelShelf, TruthFrame
-from service.bench.overflights import Overflight
+from service.bench.overflights import LitOverflight
 from service.inference.light import Light
 from service.inference.state import Array
 
@@ -62,12 +62,14 @@ class SequenceFolder:
             yield path.read_bytes()
 
     def _frames(self, names: Sequence[str], described: Mapping[str, Any]) -> Iterator[tuple[bytes, TruthFrame]]:
-        files = sorted((self.path / "frames").glob("*.png"), key=lambda path: int(path.stem))
+        numbers = [path.stem for path in (self.path / "frames").glob("*.png") if path.stem.isdecimal()]
+        digits = min(map(len, numbers), default=3)
         lights: Iterable[Light | None] = repeat(None)
         if "pointing" in described:
-            lights = map(Overflight(described).light, self._rows(described["pointing"]))
-        for file, row, light in zip(files, self._rows(), lights, strict=False):
-            yield file.read_bytes(), replace(_truth(row, names), light=light)
+            lights = map(LitOverflight(described).light, self._rows(described["pointing"]))
+        for k, (row, light) in enumerate(zip(self._rows(), lights, strict="pointing" in described)):
+            body = (self.path / "frames" / f"{k:0{digits}d}.png").read_bytes()
+            yield body, replace(_truth(row, names), light=light)
 
     def _rows(self, name: str = "truth.csv") -> Iterator[dict[str, str]]:
         with (self.path / name).open(newline="") as file:

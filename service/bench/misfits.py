@@ -101,7 +101,7 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
     referee = Referee(case) if misfit.kind == "cloud" else None  # of the others no pose is right
     said, wrong = [], 0
     for k, (body, truth) in enumerate(islice(case.frames(), terms.limit)):
-        estimate = session.track(tracker, k, truth.time_s, body).estimate
+        estimate = session.track(tracker, k, truth.time_s, body, terms.told.light_at(truth)).estimate
         said.append(estimate.status)
         if referee is not None and k >= misfit.from_frame and estimate.status == "tracking":
             wrong += referee.error_deg(truth, estimate.best) > WITHIN_DEG

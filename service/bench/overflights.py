@@ -17,7 +17,7 @@ from service.sessions.lighting import light_at
 from service.sessions.ranging import Ranged
 
 
-class Overflight:
+class LitOverflight:
     """Of a ``case.json`` that says where a pass was seen from (``skypose simulate --site``)."""
 
     def __init__(self, described: Mapping[str, Any]) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.inference.model import templates as T
 from service.inference.model.drawing import Drawing, Quality, View
-from service.inference.model.prior import EVEN_MEAN
+from service.inference.model.prior import Around
 from service.inference.model.spread import LEAST, band
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.state import Array, Poses
@@ -33,19 +33,18 @@ _AROUND, _LEAST_AROUND_PX = 0.45, 0.4  # numerical: width of a look's sampling, 
 _BEYOND = (1.25, 1.5, 1.8)  # numerical: times as long as what is seen of it: a body that goes on where nothing is
 _KNOWN = 0.5  # numerical: share of a template's pixel that is seen
 _LEAST_SHOWN = 0.2  # numerical: of a template's variance, in what is seen: less of it tells nothing
-_EVEN = (0.0, 0.0, 0.0, EVEN_MEAN)  # exact: light from everywhere
 _CHUNK = 512  # numerical: templates drawn at once
 
 
 def build(
     drawing: Drawing,
     suns: Array,
-    tracking: SunTracking | None = None,
-    around: tuple[float, float, float, float] = _EVEN,
+    tracking: SunTracking | None,
+    around: Around,
 ) -> T.Bank:
     """Draw as many templates as ``suns`` (N, 3), in camera axes, has rows; ``tracking``: joints that follow them.
 
-    ``around``: other light (``prior.LightPrior``).
+    ``around``: other light (``prior.LightPrior.whole``).
     """
     count = len(suns)
     quaternion = T.rotations(count)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation, part_transforms
-from service.inference.model.prior import GLOSS_LOBES
+from service.inference.model.prior import DARK, GLOSS_LOBES, Around
 from service.inference.pose import multiply
 from service.inference.state import Array, Poses
 
@@ -31,7 +31,7 @@ class Shaded(Protocol):
         shadow_px: int,
         gloss: tuple[float, ...] = ...,
         lens: tuple[float, float, float] = ...,
-        around: tuple[float, float, float, float] = ...,
+        around: Around = ...,
     ) -> Images:
         """(N, P, 3, 4) transforms to the patch -> (N, Q, side, side): groups, coverage, normals, gloss of groups."""
         ...
@@ -47,7 +47,7 @@ class Shaded(Protocol):
         shadow_px: int,
         gloss: tuple[float, ...] = ...,
         lens: tuple[float, float, float] = ...,
-        around: tuple[float, float, float, float] = ...,
+        around: Around = ...,
     ) -> Images:
         """(N, P, 3, 4) transforms and (Q,) or (N, Q) coefficients -> (N, side, side) sums of the planes."""
         ...
@@ -60,7 +60,7 @@ class Shaded(Protocol):
         side: int,
         supersample: int,
         shadow_px: int,
-        around: tuple[float, float, float, float] = ...,
+        around: Around = ...,
     ) -> Images:
         """(N, P, 3, 4) transforms -> (N, 2, side, side): all groups alike, and the coverage."""
         ...
@@ -145,7 +145,7 @@ class View:
     binning: float
     side: int
     lens: Lens | None = None
-    around: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    around: Around = DARK
 
     @property
     def patch_lens(self) -> tuple[float, float, float]:

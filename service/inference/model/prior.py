@@ -76,6 +76,10 @@ RIM_UNSEEN = 0.2  # share of a rim before clutter across which brightness does n
 RIM_ALIKE_PX = 8.0  # frame px along a rim over which the slopes across it are alike
 
 
+Around = tuple[float, float, float, float]
+DARK: Around = (0.0, 0.0, 0.0, 0.0)  # exact: no light from all around
+
+
 @dataclass(frozen=True)
 class LightPrior:
     """What is told of the light that is not the Sun's, as shares of it.
@@ -86,7 +90,13 @@ class LightPrior:
 
     even_mean: float = EVEN_MEAN
     even_sigma: float = EVEN_SIGMA
-    around: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    around: Around = DARK
+
+    @property
+    def whole(self) -> Around:
+        """The same with the even light that is expected, as if of white faces: what templates are drawn in."""
+        x, y, z, alike = self.around
+        return x, y, z, alike + self.even_mean
 
 
 def earthlight(direction: tuple[float, float, float], strength: float, aside: float) -> LightPrior:

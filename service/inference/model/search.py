@@ -239,7 +239,7 @@ def make_bank(body: Body, told: PosePrior) -> Bank:
     count = bank_size(len(searched_joints(body.rough, told)))
     sun = told.towards_sun
     suns = directions(count) if sun is None else np.tile(sun, (count, 1))
-    return banks.build(body.rough, suns, told.tracking, *([told.light.around] if any(told.light.around) else []))
+    return banks.build(body.rough, suns, told.tracking, told.light.whole)
 
 
 def varied(hill: Hill, some: Candidates, part: Part = WHOLE) -> Candidates:

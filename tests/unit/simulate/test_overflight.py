@@ -166,6 +166,9 @@ def test_a_bench_is_told_the_light_of_each_frame(demo, tmp_path):
     assert Told(sun=False).light_at(third) is None
     off = Told(sun_off_deg=5.0).light_at(third).towards_sun
     assert np.dot(off, seen[2].towards_sun) == pytest.approx(np.cos(np.deg2rad(5.0)))
+    (tmp_path / "pass" / "frames" / "001.png").unlink()  # no frame is taken for another
+    with pytest.raises(FileNotFoundError, match=r"001\.png"):
+        list(case.frames())
 
 
 def test_names_of_many_frames_stay_in_order(demo, tmp_path):

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from service.inference.articulation import Joint
 from service.inference.model import bank as banks
 from service.inference.model.drawing import View
+from service.inference.model.prior import LightPrior
 from service.inference.model.templates import (
     KINDS,
     SIDE,
@@ -31,7 +32,7 @@ SIGMA = 2.0
 
 @functools.cache
 def bank() -> Bank:
-    return banks.build(lit_body(), np.tile(SUN, (COUNT, 1)))
+    return banks.build(lit_body(), np.tile(SUN, (COUNT, 1)), None, LightPrior().whole)
 
 
 def frame(k: int, rim_px: float, middle: tuple[float, float]) -> tuple[Poses, np.ndarray]:

@@ -53,6 +53,10 @@ def test_a_face_has_it_by_its_normal():
         assert np.isclose(told @ [*normal, 1.0], 0.1 * share)
 
 
+def test_templates_are_drawn_in_all_light_but_the_suns():
+    assert EARTH.whole == EARTH.around and LightPrior().whole == (0.0, 0.0, 0.0, LightPrior().even_mean)
+
+
 def test_it_is_told_by_orbit_and_camera_and_is_more_of_the_light_where_the_sun_sets():
     known = Light((0.0, 0.0, -1.0), 0.02, 1.0, (0.6, 0.0, -0.8), 0.1, 0.3)
     assert earthlight_of(known) == earthlight((0.6, 0.0, -0.8), 0.1, 0.3)
