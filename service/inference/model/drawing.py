@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.articulation import Articulation, part_transforms
-from service.inference.model.prior import DARK, GLOSS_LOBES, Around
+from service.inference.model.prior import GLOSS_LOBES, Around
 from service.inference.pose import multiply
 from service.inference.state import Array, Poses
 
@@ -145,7 +145,7 @@ class View:
     binning: float
     side: int
     lens: Lens | None = None
-    around: Around = DARK
+    around: Around = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def patch_lens(self) -> tuple[float, float, float]:

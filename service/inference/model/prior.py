@@ -77,7 +77,6 @@ RIM_ALIKE_PX = 8.0  # frame px along a rim over which the slopes across it are a
 
 
 Around = tuple[float, float, float, float]
-DARK: Around = (0.0, 0.0, 0.0, 0.0)  # exact: no light from all around
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class LightPrior:
 
     even_mean: float = EVEN_MEAN
     even_sigma: float = EVEN_SIGMA
-    around: Around = DARK
+    around: Around = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def whole(self) -> Around:
