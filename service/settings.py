@@ -52,11 +52,13 @@ class Settings(BaseSettings):
     """Actors of this service; 0: one per GPU of the cluster, without any one per `SKYPOSE_RAY_CORES`."""
     ray_cores: Positive = 1
     """Cores that each actor asks of Ray, shared by its tracking processes."""
-    workers: Positive = 1
-    """Tracking processes, with Ray in each actor. A session stays with one while that has room for its next frame."""
+    workers: Annotated[int, Field(ge=0)] = 0
+    """Tracking processes, with Ray in each actor. 0: as many as there are cores, with 1 GiB of memory each; one is
+    there from the start, the others wake when a frame would have to wait, and sleep after five idle minutes. With Ray
+    0 is one. A session stays with one while that has room for its next frame."""
     batching: Literal["auto", "on", "off"] = "auto"
     """Whether several tracking processes share a device, which scores what they ask at one time in one launch: `auto`
-    where there is a GPU, `on` anywhere."""
+    where there is a GPU, `on` anywhere. Only where `SKYPOSE_WORKERS` says how many they are."""
     worker_timeout_s: PositiveSeconds = 120.0
     """A worker that does not answer a job for so long is ended and started anew. The job is not tried again."""
     worker_start_timeout_s: PositiveSeconds = 120.0

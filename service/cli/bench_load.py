@@ -21,7 +21,8 @@ def load(
     url: Annotated[str | None, typer.Option(help="A running service; without it one is started here.")] = None,
     key: Annotated[str | None, typer.Option(envvar="SKYPOSE_API_KEY", help="API key, where the service asks.")] = None,
     workers: Annotated[
-        list[int] | None, typer.Option(min=1, help="Of the service started here; may be repeated. Default: 1.")
+        list[int] | None,
+        typer.Option(min=0, help="Of the service started here, 0: as many as it needs; may be repeated. Default: 0."),
     ] = None,
     particles: Annotated[list[int] | None, typer.Option(min=1, max=10_000_000, help="May be repeated.")] = None,
     rate: Annotated[
@@ -51,7 +52,7 @@ def load(
             if url is not None:
                 _remote(url, key, scene, given, rows)
             else:
-                _local(workers or [1], scene, given, rows)
+                _local(workers or [0], scene, given, rows)
         finally:  # an interrupted run tells what it has measured
             if rows:
                 tables = capacity_table(given, rows), cost_table(rows)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
-from service.errors import MissingBlobError, TooLargeError, WorkerFailedError
+import structlog
+
+from service.errors import MissingBlobError, SkyposeError, TooLargeError, WorkerFailedError
 from service.imaging.split import SplitFrame
 from service.inference.spin.basins import PassMotion
 from service.workers.base import (
@@ -27,10 +30,13 @@ from service.workers.base import (
     SmoothJob,
     SmoothReport,
 )
+from service.workers.placement import KNOWN_MODELS
 from service.workers.process import timed_out
+from service.workers.sleepers import Prepare, Run
 from service.workers.splitting import SplitJob
 from service.workers.turns import Turns
 
+log = structlog.get_logger(__name__)
 R = TypeVar("R")
 
 BlobSource = Callable[[str], Awaitable[bytes]]
@@ -58,6 +64,9 @@ class Transport(Protocol):
     def prestart(self) -> None:
         """Begin to bring the workers up, without waiting."""
 
+    def on_wake(self, prepare: Prepare) -> None:
+        """What a worker that was not needed until now is to do before it takes jobs."""
+
     async def start(self) -> None:
         """Bring the workers up."""
 
@@ -74,6 +83,8 @@ class Engine:
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
         self._turns = Turns(lambda: transport.places)
+        self._bodies: OrderedDict[str, tuple[ReadyJob, BlobSource]] = OrderedDict()  # that were tracked last
+        transport.on_wake(self._prepare)
 
     async def prepare_model(self, tenant: str, job: ModelJob) -> ModelReport:
         """Load, check and describe a model file. Raises ``TooLargeError`` where that takes too long."""
@@ -100,6 +111,10 @@ class Engine:
 
     async def track(self, session_id: str, job: FrameJob, state: bytes | None, blobs: BlobSource) -> PackedFrameReport:
         """One frame: packed state in, packed state out."""
+        self._bodies[job.model] = ReadyJob(job.config, job.model, job.file_type, job.articulation, None), blobs
+        self._bodies.move_to_end(job.model)
+        if len(self._bodies) > KNOWN_MODELS:
+            self._bodies.popitem(last=False)
 
         async def run(brought: Mapping[str, bytes]) -> PackedFrameReport:
             packed = PackedFrameJob(replace(job, blobs=brought), state)
@@ -155,8 +170,24 @@ class Engine:
         description: Mapping[str, Any] = await self._beside("", "describe", None)
         return description
 
+    async def _prepare(self, run: Run) -> Iterable[str]:
+        """Have a worker prepare the bodies that were tracked last: no frame that goes there has to wait for it."""
+        prepared = []
+        for job, blobs in [*self._bodies.values()]:
+            try:
+                await _with_blobs(partial(_readied, run, job), blobs)
+            except SkyposeError as error:  # a frame will meet it, and tell it
+                log.info("not prepared", error=error.detail)
+            else:
+                prepared.append(job.model)
+        return prepared
+
     async def _beside(self, tenant: str, method: str, job: object) -> Any:
         return await self._turns.run(tenant, partial(self.transport.call, None, method, job))
+
+
+async def _readied(run: Run, job: ReadyJob, brought: Mapping[str, bytes]) -> None:
+    await run("ready", replace(job, blobs=brought))
 
 
 async def _with_blobs(run: Callable[[Mapping[str, bytes]], Awaitable[R]], blobs: BlobSource) -> R:

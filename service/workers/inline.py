@@ -10,6 +10,7 @@ from typing import Any
 
 from service.workers.base import Worker
 from service.workers.host import execute
+from service.workers.sleepers import Prepare
 
 
 class InlineTransport:
@@ -37,6 +38,9 @@ class InlineTransport:
 
     def prestart(self) -> None:
         """There is nothing to begin early."""
+
+    def on_wake(self, prepare: Prepare) -> None:
+        """None sleeps."""
 
     async def start(self) -> None:
         """Build the worker."""

@@ -39,11 +39,11 @@ class Placement:
         """Those that take jobs."""
         return tuple(worker for worker, place in self._places.items() if not place.out)
 
-    def add(self, worker: str) -> None:
-        """A worker that is ready, with empty caches: a new one, or one that was removed and began anew."""
+    def add(self, worker: str, models: Iterable[str] = ()) -> None:
+        """A worker that is ready, with these models prepared: a new one, or one that was removed and began anew."""
         place = self._places.setdefault(worker, _Place())
         place.out, place.memory = False, 0
-        place.models.clear()
+        place.models = OrderedDict.fromkeys(models)
 
     def remove(self, worker: str) -> None:
         """A worker that takes no more jobs; its sessions move with their next one. Those in hand still end."""

@@ -1,9 +1,11 @@
-"""The worker processes of this machine: some that track, and one beside them."""
+"""The worker processes of this machine: some that track, and one beside them.
+
+Those that are not needed sleep: they are had when a job would have to wait for another, and ended when they rest.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import os
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
@@ -18,11 +20,14 @@ from service.workers.fair_queue import SEEN, FairQueue
 from service.workers.interpreter import Interpreter
 from service.workers.placement import Placement
 from service.workers.process import WorkerProcess
+from service.workers.room import cores as cores_of_this_process
+from service.workers.sleepers import Prepare, Sleepers
 from service.workers.spare import Spare
 
 log = structlog.get_logger(__name__)
 Batching = Literal["auto", "on", "off"]
 """Whether workers of this machine share a device: ``auto`` a GPU, ``on`` any."""
+REST_S = 300.0  # without a job, after which a worker that was woken sleeps again
 
 
 class ProcessTransport:
@@ -40,38 +45,47 @@ class ProcessTransport:
         batching: Batching = "off",
         cores: int | None = None,
         first: Interpreter | None = None,
+        awake: int | None = None,
+        rest_s: float = REST_S,
     ) -> None:
         """``cores`` that the workers may use together; None: all. ``first`` becomes the first worker.
 
+        ``awake`` of the workers are there from the start, the others when there is work for them; None: all.
         With batching the address of the device's owner is one more argument of the program's factory.
         """
         self._device: DeviceProcess | None = None
         if batching != "off" and workers > 1:
             self._device = DeviceProcess(batching == "on", program.nice)
             program = replace(program, arguments=(*program.arguments, self._device.address))
-        cores = cores or len(os.sched_getaffinity(0))
-        shared = replace(program, threads=max(1, cores // workers))
+        awake = workers if awake is None else awake
+        cores = cores or cores_of_this_process()
+        shared = replace(program, threads=max(1, cores // awake))
         self._spare = Spare(shared)
         names = [*(f"track-{n}" for n in range(workers)), "side"]
         *self.workers, self.side = [
             WorkerProcess(name, shared, timeout_s, self._spare, first if name == names[0] else None) for name in names
         ]
         self._by_name = {worker.name: worker for worker in self.workers}
-        self._placement = Placement(self._by_name)
+        self._placement = Placement(names[:awake])
+        self._sleepers = Sleepers({n: self._by_name[n] for n in names[awake:workers]}, self._placement, rest_s)
         self._queues = {name: FairQueue(SEEN) for name in self._by_name}
         self._starts: set[asyncio.Task[None]] = set()
+
+    @property
+    def _awake(self) -> list[WorkerProcess]:
+        return [worker for worker in self.workers if worker.name not in self._sleepers.asleep]
 
     def prestart(self) -> None:
         """Begin to bring the tracking processes up, beside whatever else the program does to start."""
         if self._device is not None:
             self._device.start()
-        for worker in self.workers:
+        for worker in self._awake:
             worker.prestart()
 
     @property
     def ready(self) -> bool:
-        """Whether every tracking process is up."""
-        return all(worker.ready for worker in self.workers)
+        """Whether every tracking process is up that does not sleep."""
+        return all(worker.ready for worker in self._awake)
 
     @property
     def places(self) -> int:
@@ -87,17 +101,21 @@ class ProcessTransport:
         """The worker processes, for operators."""
         found: list[dict[str, Any]] = [
             {"name": worker.name, "pid": worker.pid, "ready": worker.ready, "restarts": worker.restarts}
-            for worker in (*self.workers, self.side)
+            for worker in (*self._awake, self.side)
         ]
         if self._device is not None and self._device.shared:
             found.append(self._device.describe())
         return found
 
+    def on_wake(self, prepare: Prepare) -> None:
+        """See ``Transport``."""
+        self._sleepers.prepare = prepare
+
     async def start(self) -> None:
         """Bring the tracking processes up. A spare follows, which is the one beside them once that is needed."""
         if self._device is not None:
             self._device.start()
-        await asyncio.gather(*(worker.start() for worker in self.workers))
+        await asyncio.gather(*(worker.start() for worker in self._awake))
         self._spare.fill()
 
     async def call(self, key: str | None, method: str, job: object) -> Any:
@@ -114,6 +132,7 @@ class ProcessTransport:
 
     async def _run(self, key: str, method: str, job: object) -> Any:
         name = self._placement.take(key, model_of(job))
+        self._sleepers.given(name)
         try:
             tenant = key.rpartition("/")[0]  # see ``service.store.scope``
             worker = self._by_name[name]
@@ -127,6 +146,7 @@ class ProcessTransport:
             raise
         finally:
             self._placement.done(name)
+            self._sleepers.done(name)
 
     async def _start_again(self, name: str) -> None:
         """A lost worker takes jobs again once it is up; where it cannot be, its next job says so."""
@@ -138,7 +158,7 @@ class ProcessTransport:
 
     async def close(self) -> None:
         """Finish what is in hand and end every process."""
-        await asyncio.gather(*self._starts)
+        await asyncio.gather(*self._starts, self._sleepers.close())
         await asyncio.gather(*(worker.close() for worker in (*self.workers, self.side)))
         await asyncio.to_thread(self._spare.close)
         if self._device is not None:

@@ -101,6 +101,10 @@ class WorkerProcess:
             raise StoppingError("the service is shutting down")
         return await self._in_thread(self._call, method, job)
 
+    async def sleep(self) -> None:
+        """End the process, once it has nothing in hand; ``start`` or the next job brings another up."""
+        await self._in_thread(self._down)
+
     async def close(self) -> None:
         """Finish the job in hand, then end the process. A second call does nothing."""
         if self._closing:

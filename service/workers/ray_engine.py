@@ -25,6 +25,7 @@ from service.errors import StoppingError, WorkerFailedError
 from service.workers.placement import Placement
 from service.workers.pool import model_of
 from service.workers.ray_worker import RayWorker, WorkerPlan
+from service.workers.sleepers import Prepare
 
 log = structlog.get_logger(__name__)
 MOST_TRIES = 4
@@ -83,6 +84,9 @@ class RayTransport:
 
     def prestart(self) -> None:
         """Nothing: Ray starts with the service."""
+
+    def on_wake(self, prepare: Prepare) -> None:
+        """No actor sleeps."""
 
     async def start(self) -> None:
         """Join the cluster and have the first actor ready; the others follow. Raises ``WorkerFailedError``."""

@@ -13,6 +13,7 @@ from service.workers.engine import Transport
 from service.workers.interpreter import Interpreter
 from service.workers.pool import Batching, ProcessTransport
 from service.workers.process import TRACKER, tracker_program
+from service.workers.room import workers_that_fit
 
 NODE_KERNELS = Path("~/.cache/skypose/kernels")  # of a machine that has no folder of the service's
 
@@ -30,7 +31,10 @@ def open_transport(
         if first is not None:
             first.close()  # Ray starts its own
         return _ray(settings, program, batching)
-    return ProcessTransport(program, settings["workers"], settings["worker_timeout_s"], batching, first=first)
+    count, timeout_s = settings["workers"], settings["worker_timeout_s"]
+    if count:
+        return ProcessTransport(program, count, timeout_s, batching, first=first)
+    return ProcessTransport(program, workers_that_fit(), timeout_s, "off", first=first, awake=1)
 
 
 def _ray(settings: Mapping[str, Any], program: Program, batching: Batching) -> Transport:
@@ -42,6 +46,6 @@ def _ray(settings: Mapping[str, Any], program: Program, batching: Batching) -> T
     if program.factory == TRACKER:
         program = replace(program, arguments=(program.arguments[0], NODE_KERNELS))
     cores = settings["ray_cores"]
-    worker = WorkerPlan(program, settings["workers"], settings["worker_timeout_s"], batching, cores)
+    worker = WorkerPlan(program, settings["workers"] or 1, settings["worker_timeout_s"], batching, cores)
     plan = RayPlan(settings["ray_address"], settings["ray_actors"], cores, settings["worker_start_timeout_s"])
     return RayTransport(plan, worker)

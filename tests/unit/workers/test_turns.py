@@ -141,6 +141,9 @@ async def test_a_model_that_takes_too_long_is_the_models_fault():
     class Slow:
         places = 1
 
+        def on_wake(self, prepare):
+            pass
+
         async def call(self, key, method, job):
             raise WorkerFailedError("no answer", limit=3.0, setting="SKYPOSE_WORKER_TIMEOUT_S")
 
