@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeGuard
+from collections.abc import Mapping
+from typing import Any
 
+from gpu.gltf_draco import binary_chunk, check_draco
+from gpu.gltf_tree import entries, is_index
 from gpu.mesh_limits import MeshLimits, require
 
 TRIANGLE_FAN = 6
-UNSUPPORTED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+UNSUPPORTED = ("EXT_meshopt_compression",)
 
 
 def check_glb(data: bytes, limits: MeshLimits) -> str | None:
@@ -35,17 +37,12 @@ def check_glb(data: bytes, limits: MeshLimits) -> str | None:
     if not isinstance(tree, dict):
         return "the JSON chunk is no object"
     problem = _foreign_data(tree) or _triangle_fans(tree) or _bad_nodes(tree, limits)
-    return problem or _bad_counts(tree, limits)
-
-
-def _entries(tree: Mapping[str, Any], key: str) -> Sequence[Mapping[str, Any]]:
-    entries = tree.get(key, [])
-    return [e for e in entries if isinstance(e, dict)] if isinstance(entries, list) else []
+    return problem or _bad_counts(tree, limits) or check_draco(tree, binary_chunk(data, json_length))
 
 
 def _foreign_data(tree: Mapping[str, Any]) -> str | None:
     for key in ("buffers", "images"):
-        for i, entry in enumerate(_entries(tree, key)):
+        for i, entry in enumerate(entries(tree, key)):
             uri = entry.get("uri")
             if uri is not None and not str(uri).startswith("data:"):
                 return f"{key}[{i}] refers to an external file; only embedded data is read"
@@ -58,15 +55,15 @@ def _foreign_data(tree: Mapping[str, Any]) -> str | None:
 
 def _triangle_fans(tree: Mapping[str, Any]) -> str | None:
     """Fans are left out by the reader, which would change the silhouette without a word."""
-    for i, mesh in enumerate(_entries(tree, "meshes")):
-        if any(primitive.get("mode") == TRIANGLE_FAN for primitive in _entries(mesh, "primitives")):
+    for i, mesh in enumerate(entries(tree, "meshes")):
+        if any(primitive.get("mode") == TRIANGLE_FAN for primitive in entries(mesh, "primitives")):
             return f"mesh {i} has a triangle fan; only triangles and strips are read"
     return None
 
 
 def _bad_nodes(tree: Mapping[str, Any], limits: MeshLimits) -> str | None:
     """Every node must be reached once (a forest, as glTF demands) and within ``limits.depth`` levels."""
-    nodes = _entries(tree, "nodes")
+    nodes = entries(tree, "nodes")
     require(limits, nodes=len(nodes))
     children: list[list[int]] = []
     parents = [0] * len(nodes)
@@ -93,7 +90,7 @@ def _bad_nodes(tree: Mapping[str, Any], limits: MeshLimits) -> str | None:
 def _bad_counts(tree: Mapping[str, Any], limits: MeshLimits) -> str | None:
     """Vertices and faces as the accessors state them, each mesh as often as nodes show it."""
     counts: list[int] = []
-    for i, accessor in enumerate(_entries(tree, "accessors")):
+    for i, accessor in enumerate(entries(tree, "accessors")):
         count = accessor.get("count")
         if not isinstance(count, int) or count < 0:
             return f"accessor {i} states no count"
@@ -101,22 +98,18 @@ def _bad_counts(tree: Mapping[str, Any], limits: MeshLimits) -> str | None:
             require(limits, faces=count // 3)
         counts.append(count)
     sizes = []
-    for i, mesh in enumerate(_entries(tree, "meshes")):
+    for i, mesh in enumerate(entries(tree, "meshes")):
         vertices = indices = 0
-        for primitive in _entries(mesh, "primitives"):
+        for primitive in entries(mesh, "primitives"):
             attributes = primitive.get("attributes")
             position = attributes.get("POSITION") if isinstance(attributes, dict) else None
             index = primitive.get("indices", position)
-            if not (_is_index(position, counts) and _is_index(index, counts)):
+            if not (is_index(position, counts) and is_index(index, counts)):
                 return f"mesh {i} refers to an accessor that does not exist"
             vertices, indices = vertices + counts[position], indices + counts[index]
         sizes.append((vertices, indices))
-    shown = [node["mesh"] for node in _entries(tree, "nodes") if _is_index(node.get("mesh"), sizes)]
+    shown = [node["mesh"] for node in entries(tree, "nodes") if is_index(node.get("mesh"), sizes)]
     require(
         limits, parts=len(shown), vertices=sum(sizes[k][0] for k in shown), faces=sum(sizes[k][1] for k in shown) // 3
     )
     return None
-
-
-def _is_index(value: Any, items: Sequence[Any]) -> TypeGuard[int]:
-    return isinstance(value, int) and 0 <= value < len(items)

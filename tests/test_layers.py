@@ -57,7 +57,17 @@ PACKAGES: dict[str, set[str]] = {
     "service.attitude": {"numpy", "astropy_iers_data", "erfa", "sgp4", "defusedxml"},
     "service.exports": {"numpy"},
     "service.report": {"numpy", "cv2", "jinja2", "markupsafe"},
-    "gpu": {"numpy", "scipy", "pyopencl", "moderngl", "trimesh", "collada", "fast_simplification", "defusedxml"},
+    "gpu": {
+        "numpy",
+        "scipy",
+        "pyopencl",
+        "moderngl",
+        "trimesh",
+        "collada",
+        "DracoPy",
+        "fast_simplification",
+        "defusedxml",
+    },
     "service.errors": set(),
 }
 

@@ -118,15 +118,16 @@ def video_seeds() -> list[Seed]:
 
 
 def mesh_seeds() -> list[Seed]:
-    """Every mesh format; a GLB of two nodes with an articulation; a robot with a COLLADA mesh."""
+    """Every mesh format; a GLB of two nodes, as it is and compressed; a robot with a COLLADA mesh."""
     box = trimesh.creation.box((1.0, 2.0, 0.5))
     scene = trimesh.Scene()
     scene.add_geometry(box, node_name="body")
     scene.add_geometry(box, node_name="panel", parent_node_name="body", transform=np.diag([2.0, 0.5, 1, 1]))
     files = {kind: as_bytes(box.export(file_type=kind)) for kind in ("stl", "obj", "ply", "stl_ascii")}
     files["glb"] = as_bytes(scene.export(file_type="glb"))
+    files["glb_draco"] = as_bytes(scene.export(file_type="glb", extension_draco=True))
     files["urdf"] = pack_urdf(ROBOT, {"box.dae": export_collada(box)})
-    return [Seed(kind.removesuffix("_ascii"), body, mesh=True) for kind, body in files.items()]
+    return [Seed(kind.partition("_")[0], body, mesh=True) for kind, body in files.items()]
 
 
 def as_bytes(file: bytes | str) -> bytes:

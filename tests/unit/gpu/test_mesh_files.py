@@ -86,7 +86,7 @@ def test_a_sliver_on_a_straight_line_is_without_area():
         ({"nodes": [{"mesh": 0}, {"children": [2]}, {"children": [1]}]}, "cycle"),
         ({"nodes": [{"mesh": 0, "children": [7]}]}, "does not exist"),
         ({"nodes": [{"children": [k + 1]} for k in range(500)] + [{"mesh": 0}]}, "deeper than"),
-        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "draco"),
+        ({"extensionsRequired": ["EXT_meshopt_compression"]}, "meshopt"),
         ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 6}]}]}, "triangle fan"),
         ({"meshes": []}, "no faces"),
         ({"accessors": []}, "does not exist"),
