@@ -112,9 +112,11 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     empty = empty if unseen is None else empty & ~unseen[::every, ::every]
     shown = fine[::every, ::every][empty]
     sigma *= louder(loudness(shown) / sigma, sky.fine, len(shown))
-    photon = _photon_transfer(fine, local, sigma, full)
     empty_sky = _weighed(mean, share)
     level = max(float(np.median(empty_sky[::every, ::every])), 0.0)
+    dark = min(_darkest(local), level)
+    photon = _photon_transfer(fine, local, sigma, full)
+    photon = min(photon, sigma**2 / dark) if dark > sigma else photon  # sky that is hidden had no more than all noise
     uneven = np.clip(empty_sky / level, 0.0, _BRIGHTEST, out=empty_sky) if level > 0 else None
     return Light(above, sigma, photon, level, full, (columns.start, rows.start), unseen=unseen, uneven=uneven)
 
@@ -162,6 +164,12 @@ def _plane_of(shape: tuple[int, ...], every: int) -> tuple[Map, Map, Map, NDArra
     x, y = np.meshgrid(across[::every], down[::every])
     edge = np.maximum(np.abs(x), np.abs(y)) > 1 - _LEVEL_BORDER
     return across, down, np.stack([np.ones_like(x), x, y]), edge
+
+
+def _darkest(local: Map) -> float:
+    """Counts below the sky that enough pixels reach: so much of its light, at the least, is hidden by a body."""
+    most = min(_LEAST_BRIGHT_PX, local.size) - 1
+    return max(-float(np.partition(local, most, axis=None)[most]), 0.0)
 
 
 def _photon_transfer(fine: Map, local: Map, sigma: float, full: NDArray[np.bool_]) -> float:

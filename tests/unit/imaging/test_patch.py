@@ -111,6 +111,16 @@ def test_photon_transfer_is_found_from_one_frame(gain):
     assert gain / 1.5 < found.photon < 1.5 * gain
 
 
+@pytest.mark.parametrize("depth", [0.0, 40.0, 90.0])
+def test_sky_that_is_hidden_had_no_more_photons_than_the_noise_that_the_sky_has(depth):
+    """Fine structure leaks into the checkerboard; what is dark says how few photons a count is at the most."""
+    image = 100 + 2 * noise()
+    image[20:50, 30:60] += 400 * np.random.default_rng(2).uniform(size=(30, 30))
+    image[70:100, 30:60] -= depth
+    found = light_of(np.round(image).astype(np.uint16), sky([2.0]), 16)
+    assert found.photon > 0.5 if not depth else found.photon == pytest.approx(4 / depth, rel=0.1)
+
+
 def test_without_light_photons_are_taken_to_be_next_to_nothing():
     found = light_of(100 + 6 * noise(), sky([6.0]), 16)
     assert 0 < found.photon < 0.1
