@@ -38,7 +38,7 @@ from service.inference.pose import concatenate, retract
 from service.inference.state import Estimate, FilterState, Mixture, Poses
 from service.inference.symmetry import twin
 
-FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(4, 384), Trust())  # numerical: as fine as a track is followed
+FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(8, 384), Trust())  # numerical: of four samples thin parts are rough
 _RIM, _SIGHT = 1.2, 1.6  # numerical: of the body's radius that belongs to it; a patch's side over its light's span
 _LEAST = 1e-3  # numerical: probability below which a mode is dropped
 

@@ -177,12 +177,16 @@ def hypotheses(
     start = existence.expected(None, 0.0)
     if ahead is not None:
         start = usual.answered * ahead.existence + (1 - usual.answered) * start
-    fit = best.one.fit
-    changed = existence.log_of_change(usual.log_light, light, usual.answered)
+    fit, starts = best.one.fit, np.log(np.maximum(start, 1e-9))
     absent, afresh, unlike = evidences
-    fits = fit.log_evidence + best.occam + changed
-    between = max(fit.log_evidence, afresh, unlike) + best.occam
-    logs = np.log(np.maximum(start, 1e-9)) + np.array([absent, fits, max(fits, between)])
+    seen = fit.log_evidence + best.occam
+    changed = existence.log_of_change(usual.log_light, light, usual.answered)
+    if seen <= absent and 0 < usual.answered < 1:  # nothing shows: what was something else's light is not seen either
+        changed = existence.log_of_change(usual.log_light, light) + float(np.log(usual.answered))
+        elsewhere = float(starts[existence.FITS] - starts[existence.ABSENT] + np.log1p(-usual.answered)) + seen
+        absent = float(np.logaddexp(absent, elsewhere))
+    fits, between = seen + changed, max(fit.log_evidence, afresh, unlike) + best.occam
+    logs = starts + np.array([absent, fits, max(fits, between)])
     logs[existence.NO_FIT] += existence.log_of_disturbance(fit.chi2, usual.log_chi2)
     return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
 
