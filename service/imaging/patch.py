@@ -114,7 +114,7 @@ def light_of(image: NDArray[np.generic], sky: Sky, bits: int, region: tuple[slic
     sigma *= louder(loudness(shown) / sigma, sky.fine, len(shown))
     empty_sky = _weighed(mean, share)
     level = max(float(np.median(empty_sky[::every, ::every])), 0.0)
-    dark = min(_darkest(local), level)
+    dark = min(_darkest(local, sigma), level)
     photon = _photon_transfer(fine, local, sigma, full)
     photon = min(photon, sigma**2 / dark) if dark > sigma else photon  # sky that is hidden had no more than all noise
     uneven = np.clip(empty_sky / level, 0.0, _BRIGHTEST, out=empty_sky) if level > 0 else None
@@ -166,10 +166,13 @@ def _plane_of(shape: tuple[int, ...], every: int) -> tuple[Map, Map, Map, NDArra
     return across, down, np.stack([np.ones_like(x), x, y]), edge
 
 
-def _darkest(local: Map) -> float:
-    """Counts below the sky that enough pixels reach: so much of its light, at the least, is hidden by a body."""
-    most = min(_LEAST_BRIGHT_PX, local.size) - 1
-    return max(-float(np.partition(local, most, axis=None)[most]), 0.0)
+def _darkest(local: Map, sigma: float) -> float:
+    """Counts below the sky that enough pixels reach: so much of its light, at the least, is hidden by a body.
+
+    0 where that is no more than ``sigma``, as by night: then hardly a pixel is looked at twice.
+    """
+    below, enough = local[local < -sigma], min(_LEAST_BRIGHT_PX, local.size)
+    return -float(np.partition(below, enough - 1)[enough - 1]) if len(below) >= enough else 0.0
 
 
 def _photon_transfer(fine: Map, local: Map, sigma: float, full: NDArray[np.bool_]) -> float:

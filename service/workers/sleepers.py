@@ -77,6 +77,7 @@ class Sleepers:
         else:
             self._asleep.remove(worker)
             self._placement.add(worker, models)
+            self.done(worker)  # it may be that no job is left for it
         finally:
             self._wakes = False
 
