@@ -42,18 +42,32 @@ def with_displaced(
         return with_answer(after, 0.0, given)
     lead, last = int(np.argmax(after.log_weights)), int(np.argmax(ahead.log_weights))
     leader, answer, known = after.poses[lead : lead + 1], ahead.poses[last : last + 1], ahead.displaced
+    d = ahead.rates.shape[1]
+    wide = ahead.covariance[last][:d, :d]
+    is_back = known is not None and bool(one_answer(leader, known.pose, given.twins, given.domain).any())
+    if is_back:
+        known = None
+    elif known is not None and fits_again(before, after):
+        right = was_right(known.probability, 1.0, moved(known.pose, wide, leader, after, given))
+        known = replace(known, probability=right)
     if one_answer(leader, answer, given.twins, given.domain).any():
         return with_answer(replace(after, displaced=known), before.answered, given)
-    if known is not None and one_answer(leader, known.pose, given.twins, given.domain).any():
-        known = None  # it is back
-    elif before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
-        d = ahead.rates.shape[1]
-        _, fits, no_fit = ahead.existence
-        moved = turns_there(answer, ahead.covariance[last][:d, :d], leader, given) * fits / max(no_fit, _NOTHING)
-        right = was_right(before.answered, disturbed, moved)
+    if not is_back and before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
+        right = was_right(before.answered, disturbed, moved(answer, wide, leader, after, given))
         if known is None or right > known.probability:
             known = Displaced(right, answer, ahead.rates[last : last + 1])
     return with_answer(replace(after, displaced=known), 0.0, given)
+
+
+def fits_again(before: Mixture, after: Mixture) -> bool:
+    """Whether a frame is the first that the modes explain since one that they did not."""
+    return bool(before.existence[existence.FITS] < 0.5 <= after.existence[existence.FITS])
+
+
+def moved(pose: Poses, wide: Array, there: Poses, after: Mixture, given: Given) -> float:
+    """Odds that it has turned to where it leads now, against something between: what nothing fits, it has not."""
+    _, fits, no_fit = after.existence
+    return turns_there(pose, wide, there, given) * float(fits / max(no_fit, _NOTHING))
 
 
 def with_answer(after: Mixture, before: float, given: Given) -> Mixture:

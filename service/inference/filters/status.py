@@ -32,9 +32,14 @@ def told_existence(mixture: Mixture, mesh_error: float = 0.0) -> Array:
 
 def found_share(mixture: Mixture, mesh_error: float = 0.0) -> float:
     """Probability that what leads is this body at its pose, whatever may be between just now."""
-    met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
     displaced = 0.0 if mixture.displaced is None else mixture.displaced.probability
-    return float(met * existence.of_this_body(mixture.discrepancy, mesh_error) * (1 - displaced))
+    return followed_share(mixture, mesh_error) * (1 - displaced)
+
+
+def followed_share(mixture: Mixture, mesh_error: float = 0.0) -> float:
+    """Probability that it is this body whose light was followed, though something else may have its place now."""
+    met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
+    return float(met * existence.of_this_body(mixture.discrepancy, mesh_error))
 
 
 def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> str:

@@ -10,7 +10,7 @@ from service.inference.domain import Domain
 from service.inference.estimate import tangent
 from service.inference.filters.births import followed_to, newborn, repainted
 from service.inference.filters.given import Given, Predicted, Updated
-from service.inference.filters.status import found_share
+from service.inference.filters.status import followed_share
 from service.inference.mesh_error import evidence_trust
 from service.inference.model import existence, paint, prior
 from service.inference.model.dynamics import corrected, new_born
@@ -81,7 +81,7 @@ def weigh(
     absent = existence.log_absent(hill)
     if best is not lead:
         looks = looks_at(best, hill, other)
-    afresh, unlike, elsewhere = max(afresh, looks[0]), looks[1], looks[2]
+    seen, afresh, unlike, elsewhere = (best, looks), max(afresh, looks[0]), looks[1], looks[2]
     explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance, hill)
     light = existence.log_light(hill, best.one.fit)
     probabilities = hypotheses(best, (absent, afresh, unlike), light, ahead, usual)
@@ -101,7 +101,7 @@ def weigh(
         nats=explained - absent,
         hidden=existence.hidden_share(hill, best.one.fit),
         n_followed=n_followed,
-        disturbed=0.0 if ahead is None or before is None else come_between(modes, best, hill, other, ahead, before),
+        disturbed=0.0 if ahead is None or before is None else come_between(modes, seen, hill, other, ahead, before),
     )
 
 
@@ -192,13 +192,19 @@ def hypotheses(
 
 
 def come_between(
-    modes: list[Weighed], best: Weighed, hill: Hill, other: Nuisance, ahead: Predicted, before: Mixture
+    modes: list[Weighed],
+    seen: tuple[Weighed, tuple[float, float, float]],
+    hill: Hill,
+    other: Nuisance,
+    ahead: Predicted,
+    before: Mixture,
 ) -> float:
-    """Probability that something has come between, were the answer right that was the last; 0 where it still leads."""
+    """Probability that something has come between, were the answer right that was the last.
+
+    ``seen``: a mode that was looked at already, and what was seen (``looks_at``).
+    """
     answer = modes[int(np.argmax(ahead.log_weights))]
-    if answer is best:
-        return 0.0
-    afresh, unlike, _ = looks_at(answer, hill, other)
+    afresh, unlike, _ = seen[1] if answer is seen[0] else looks_at(answer, hill, other)
     light = existence.log_light(hill, answer.one.fit)
     usual = Usual(before.log_light, before.log_chi2, 1.0)
     _, fits, no_fit = hypotheses(answer, (-np.inf, afresh, unlike), light, ahead, usual)
@@ -211,5 +217,5 @@ def usual_of(before: Mixture | None, mesh_error: float) -> Usual:
     """
     if before is None:
         return Usual(None, existence.usual_chi2(), 0.0)
-    answered = min(found_share(before, mesh_error), 1 - prior.ANSWER_WRONG)
+    answered = min(followed_share(before, mesh_error), 1 - prior.ANSWER_WRONG)
     return Usual(before.log_light, existence.level_if(before.log_chi2, answered), answered)

@@ -44,9 +44,9 @@ def predicted(held, displaced: Displaced | None = None) -> Predicted:
     )
 
 
-def leads(pose, before, disturbed: float, displaced: Displaced | None = None):
+def leads(pose, before, disturbed: float, displaced: Displaced | None = None, fits: float = 0.99):
     """The mixture after a frame in which ``pose`` leads."""
-    after = replace(mixture(searches=4, ever=True), poses=pose)
+    after = replace(mixture(existence=(0.0, fits, 1 - fits), searches=4, ever=True), poses=pose)
     return with_displaced(after, before, predicted(before, displaced), disturbed, GIVEN)
 
 
@@ -98,6 +98,19 @@ def test_the_answer_that_was_displaced_is_known_again():
     other = leads(turned(1.0), before, 1.0, held)  # a third answer is not the first one
     assert other.displaced is held
     assert leads(HELD, before, 0.0, held).displaced is held  # nor is the one that displaced it
+
+
+def test_an_answer_is_remembered_through_a_frame_that_drags_its_mode_away_and_that_nothing_fits():
+    before = replace(mixture(ever=True), answered=1.0)
+    dragged = leads(turned(0.15), before, disturbed=1.0, fits=1e-6)  # 9 degrees, well within the law's tails
+    assert dragged.displaced is not None and dragged.displaced.probability > 0.99
+    assert dragged.answered == 0.0
+    elsewhere = leads(turned(2.0), dragged, disturbed=1.0, displaced=dragged.displaced)
+    assert told_existence(elsewhere)[2] > 0.95  # a mirrored image, say
+    turned_on = leads(turned(0.2), dragged, disturbed=1.0, displaced=dragged.displaced)
+    assert turned_on.displaced.probability < 0.1  # it has turned that far, and fits again
+    back = leads(turned(0.01), dragged, disturbed=1.0, displaced=dragged.displaced)
+    assert back.displaced is None
 
 
 def test_unseen_it_may_turn_anywhere():
