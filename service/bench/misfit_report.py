@@ -25,19 +25,28 @@ def misfit_document(machine: Mapping[str, Any], rows: Sequence[MisfitRow]) -> di
 def misfit_tables(document: Mapping[str, Any]) -> list[Table]:
     """One line a pass, and the totals."""
     single = Table(title="misfits")
-    for name in ("kind", "case", "model", "from", "noticed after", "tracking", "wrong", "statuses"):
+    for name in ("kind", "case", "model", "from", "noticed after", "tracking", "wrong", "back after", "statuses"):
         single.add_column(name)
     for row in document["rows"]:
         words = " ".join(_SHORT.get(status, status) for status in row["statuses"])
         noticed = "never" if row["noticed_after"] is None else str(row["noticed_after"])
         facts = (row["kind"], row["case"], row["model"], str(row["from_frame"]), noticed, f"{row['tracking']:.2f}")
-        single.add_row(*facts, _told(row["wrong"]), words)
+        back = "-" if row["back_after"] is None else str(row["back_after"])
+        single.add_row(*facts, _told(row["wrong"]), back, words)
     total = Table(title=f"noticed: no_fit, lost or ambiguous within {WITHIN} frames")
-    for name in ("kind", "passes", "noticed", "tracking at the end", "share of frames tracking", "and wrong"):
+    for name in (
+        "kind",
+        "passes",
+        "noticed",
+        "tracking at the end",
+        "share of frames tracking",
+        "and wrong",
+        "back at once",
+    ):
         total.add_column(name)
     for kind, one in document["overall"].items():
         shares = (f"{one[name]:.2f}" for name in ("noticed", "tracking_at_end", "tracking"))
-        total.add_row(kind, str(one["passes"]), *shares, _told(one["wrong"]))
+        total.add_row(kind, str(one["passes"]), *shares, _told(one["wrong"]), _told(one["back_at_once"]))
     return [single, total]
 
 
@@ -57,4 +66,5 @@ def _overall(rows: Sequence[MisfitRow]) -> dict[str, float | None]:
         "tracking_at_end": sum(row.last == "tracking" for row in rows) / count,
         "tracking": sum(row.tracking for row in rows) / count,
         "wrong": sum(wrong) / len(wrong) if wrong else None,
+        "back_at_once": sum(row.back_after == 1 for row in rows) / count,
     }

@@ -23,6 +23,7 @@ from service.workers.tracker import Tracker
 KINDS = ("mesh", "mirror", "cloud")
 NOTICED = ("no_fit", "lost", "ambiguous")
 WITHIN = 5  # frames in which it should be noticed
+BEFORE = 5  # frames before those that are spoilt, where only some are
 _CLOUD = 0.1  # of the light that comes through
 _CLOUD_EDGE = 0.1  # of the body's radius
 
@@ -40,6 +41,7 @@ class MisfitRow:
     last: str
     statuses: tuple[str, ...]
     wrong: float | None = None  # share of the spoilt frames that is ``tracking`` and off; None: there is no right pose
+    back_after: int | None = None  # frames after the spoilt ones until it is ``tracking`` and right; None: never
 
     @property
     def in_time(self) -> bool:
@@ -49,11 +51,12 @@ class MisfitRow:
 
 @dataclass(frozen=True)
 class Misfit:
-    """A case whose frames are spoilt from ``from_frame`` on."""
+    """A case whose frames are spoilt from ``from_frame`` on, or ``count`` of them."""
 
     kind: str
     case: Case
     from_frame: int
+    count: int | None = None
 
 
 def wrong_meshes(cases: Sequence[Case], most: int) -> Iterator[Misfit]:
@@ -66,17 +69,17 @@ def wrong_meshes(cases: Sequence[Case], most: int) -> Iterator[Misfit]:
                 yield Misfit("mesh", swapped, 0)
 
 
-def mirrored(case: Case, from_frame: int) -> Misfit:
+def mirrored(case: Case, from_frame: int, count: int | None = None) -> Misfit:
     """Left and right change places about the body's middle."""
 
     def flip(image: Pixels, truth: TruthFrame) -> Pixels:
         across = round(2 * float(truth.position[0]) - image.shape[1])
         return np.roll(image[:, ::-1], across, axis=1)
 
-    return Misfit("mirror", _spoilt(case, from_frame, flip), from_frame)
+    return Misfit("mirror", _spoilt(case, from_frame, count, flip), from_frame, count)
 
 
-def clouded(case: Case, from_frame: int) -> Misfit:
+def clouded(case: Case, from_frame: int, count: int | None = None) -> Misfit:
     """A tenth of the light comes through over the brighter half of the body, left or right."""
     sky = np.mean([pixels(body) for body in case.backgrounds()], axis=0)
     first, truth = next(islice(case.frames(), from_frame, None))
@@ -91,21 +94,24 @@ def clouded(case: Case, from_frame: int) -> Misfit:
         through = through.reshape(1, -1, *[1] * (image.ndim - 2))
         return counts(sky + (image - sky) * through, image)
 
-    return Misfit("cloud", _spoilt(case, from_frame, cover), from_frame)
+    return Misfit("cloud", _spoilt(case, from_frame, count, cover), from_frame, count)
 
 
 def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> MisfitRow:
     """Follow one, and say when it was noticed."""
     case = misfit.case
     session = open_session(tracker, case, entry, list(case.backgrounds()), terms.told)
-    referee = Referee(case) if misfit.kind == "cloud" else None  # of the others no pose is right
-    said, wrong = [], 0
+    referee = None if misfit.kind == "mesh" else Referee(case)  # under another mesh no pose is right
+    said, right = [], []
     for k, (body, truth) in enumerate(islice(case.frames(), terms.limit)):
         estimate = session.track(tracker, k, truth.time_s, body, terms.told.light_at(truth)).estimate
         said.append(estimate.status)
-        if referee is not None and k >= misfit.from_frame and estimate.status == "tracking":
-            wrong += referee.error_deg(truth, estimate.best) > WITHIN_DEG
-    spoilt = said[misfit.from_frame :]
+        right.append(referee is not None and referee.error_deg(truth, estimate.best) <= WITHIN_DEG)
+    end = len(said) if misfit.count is None else misfit.from_frame + misfit.count
+    spoilt, good = said[misfit.from_frame : end], right[misfit.from_frame : end]
+    wrong = sum(status == "tracking" and not well for status, well in zip(spoilt, good, strict=True))
+    after = zip(said[end:], right[end:], strict=True)
+    back = next((k + 1 for k, (status, well) in enumerate(after) if status == "tracking" and well), None)
     noticed = next((k + 1 for k, status in enumerate(spoilt) if status in NOTICED), None)
     share = spoilt.count("tracking") / len(spoilt)
     return MisfitRow(
@@ -117,13 +123,15 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
         tracking=share,
         last=spoilt[-1],
         statuses=tuple(said),
-        wrong=None if referee is None else wrong / len(spoilt),
+        wrong=wrong / len(spoilt) if misfit.kind == "cloud" else None,  # of what is mirrored no pose is right
+        back_after=back,
     )
 
 
-def _spoilt(case: Case, from_frame: int, spoil: Callable[[Pixels, TruthFrame], Pixels]) -> Case:
+def _spoilt(case: Case, first: int, count: int | None, spoil: Callable[[Pixels, TruthFrame], Pixels]) -> Case:
     def frames() -> Iterator[tuple[bytes, TruthFrame]]:
         for k, (body, truth) in enumerate(case.frames()):
-            yield (body if k < from_frame else encode_png(spoil(pixels(body), truth))), truth
+            as_it_is = k < first or (count is not None and k >= first + count)
+            yield (body if as_it_is else encode_png(spoil(pixels(body), truth))), truth
 
     return replace(case, frames=frames)

@@ -60,6 +60,7 @@ class Displaced:
     probability: float  # that it is right, and that something has come between
     pose: Poses  # (1) as it is expected
     rates: Array  # (1, d)
+    was: Mixture | None = None  # what was known of it, its mode alone; None: as versions before did not keep it
 
 
 @dataclass(frozen=True)

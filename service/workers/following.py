@@ -159,7 +159,9 @@ def of_body(state: FilterState | None, body: Body) -> FilterState | None:
     if state is None or state.mixture is None or state.mixture.paint.shape[-1] == fresh.shape[-1]:
         return state
     fresh = np.tile(fresh, (len(state.mixture.poses), 1, 1))
-    return replace(state, mixture=replace(state.mixture, paint=fresh))
+    displaced = state.mixture.displaced
+    displaced = None if displaced is None else replace(displaced, was=None)
+    return replace(state, mixture=replace(state.mixture, paint=fresh, displaced=displaced))
 
 
 def told_of(config: SessionConfig, domain: Domain, light: Light | None) -> PosePrior:

@@ -27,7 +27,7 @@ def check_mixture(mixture: Mixture, n_joints: int) -> None:
         raise ValueError("something that the mixture has learnt has no variance")
     _check_numbers(mixture)
     if mixture.displaced is not None:
-        _check_displaced(mixture.displaced, 6 + n_joints)
+        _check_displaced(mixture, mixture.displaced, 6 + n_joints)
 
 
 def _check_arrays(mixture: Mixture, d: int) -> None:
@@ -54,7 +54,7 @@ def _check_arrays(mixture: Mixture, d: int) -> None:
             raise ValueError(f"the mixture's {name} is not finite, or too large")
 
 
-def _check_displaced(displaced: Displaced, d: int) -> None:
+def _check_displaced(mixture: Mixture, displaced: Displaced, d: int) -> None:
     pose, chance = displaced.pose, displaced.probability
     arrays = pose.quaternion, pose.position, pose.log_scale, pose.joints, displaced.rates
     if [one.shape for one in arrays] != [(1, 4), (1, 2), (1,), (1, d - 6), (1, d)]:
@@ -63,6 +63,10 @@ def _check_displaced(displaced: Displaced, d: int) -> None:
         raise ValueError("what was displaced is not finite, or too large")
     if type(chance) is not float or not 0 <= chance < 1 or abs(np.linalg.norm(pose.quaternion) - 1) > _UNIT:
         raise ValueError("what was displaced has no probability, or no direction")
+    if displaced.was is not None:
+        if displaced.was.paint.shape != (1, *mixture.paint.shape[1:]) or displaced.was.displaced is not None:
+            raise ValueError("what was displaced is no single mode of this mixture")
+        check_mixture(displaced.was, d - 6)
 
 
 def _is_positive(covariance: Array) -> bool:

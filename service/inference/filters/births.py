@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,8 @@ from numpy.typing import NDArray
 
 from service.inference.domain import Domain
 from service.inference.estimate import short_way, tangent
-from service.inference.filters.given import Given, Predicted
-from service.inference.filters.status import equivalents
+from service.inference.filters.given import Given, Predicted, Updated
+from service.inference.filters.status import equivalents, one_answer
 from service.inference.model import paint, prior
 from service.inference.model.candidates import turned_alike
 from service.inference.model.search import Found
@@ -21,6 +22,7 @@ from service.inference.numerics.priors import Believed
 from service.inference.pose import angle_between, concatenate
 from service.inference.revolution import angle_apart
 from service.inference.state import Array, Poses
+from service.inference.symmetry import twin
 
 MOST_MODES = 6  # numerical: that are kept
 _LEAST = 1e-12  # numerical: variance
@@ -115,3 +117,21 @@ def same_mode(one: Refined, other: Refined, domain: Domain) -> bool:
     apart = np.abs(short_way(other.pose.joints - one.pose.joints, domain.wrapping)[0])
     wide: NDArray[np.float64] = np.sqrt(np.diag(other.covariance)[6:])
     return bool(np.all(apart <= _SAME_JOINT_SIGMAS * wide + _SAME_DEG))
+
+
+def is_another(updated: Updated, given: Given) -> bool:
+    """Whether the leader is an answer that no mode had: one that was born beside a mode that it betters is not."""
+    lead, n = int(np.argmax(updated.log_weights)), updated.n_followed
+    if lead < n:
+        return False
+    poses = [one.pose for one in updated.refined]
+    return n == 0 or not one_answer(poses[lead], concatenate(*poses[:n]), given.twins, given.domain).any()
+
+
+def alike_by(given: Given) -> Callable[[Poses], Poses] | None:
+    """The symmetry-equivalents of poses; None: there are none."""
+
+    def alike(poses: Poses) -> Poses:
+        return given.domain.wrap(concatenate(*[twin(poses, symmetry) for symmetry in given.twins]))
+
+    return alike if given.twins else None

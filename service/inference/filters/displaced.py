@@ -11,8 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from service.inference.filters.given import Given, Predicted
+from service.inference.filters.returning import alone
 from service.inference.filters.status import equivalents, leading_share, one_answer, told_existence
-from service.inference.model import existence, prior
+from service.inference.model import existence, paint, prior
+from service.inference.model.dynamics import predicted, predicted_suns, turn
+from service.inference.motion import MotionNoise
 from service.inference.numerics.student import log_density
 from service.inference.pose import local, retract
 from service.inference.state import Array, Displaced, Mixture, Poses
@@ -22,13 +25,21 @@ _LEAST = 1e-3  # numerical: probability below which it is forgotten
 _LOG_TURNS = float(np.log(8 * np.pi**2))  # exact: of the volume of all rotations, rad^3
 
 
-def carried_on(before: Displaced | None, dt_s: float) -> Displaced | None:
+def carried_on(before: Displaced | None, noise: MotionNoise, dt_s: float) -> Displaced | None:
     """Ahead of a frame: where it would be; what has come between goes away again, and then it would be seen."""
     if before is None:
         return None
     odds = before.probability / (1 - before.probability) * np.exp(-prior.CHANGES_PER_S * dt_s)
-    pose = retract(before.pose, before.rates * dt_s)
-    return Displaced(float(odds / (1 + odds)), pose, before.rates)
+    pose, was = retract(before.pose, before.rates * dt_s), before.was
+    if was is not None:
+        was = replace(
+            was,
+            poses=pose,
+            covariance=np.stack([predicted(one, noise, dt_s) for one in was.covariance]),
+            sun_sigmas=predicted_suns(was.sun_sigmas, dt_s),
+            paint=paint.expected(was.paint, turn(before.rates, was.covariance, dt_s)),
+        )
+    return Displaced(float(odds / (1 + odds)), pose, before.rates, was)
 
 
 def with_displaced(
@@ -45,23 +56,33 @@ def with_displaced(
     d = ahead.rates.shape[1]
     wide = ahead.covariance[last][:d, :d]
     is_back = known is not None and bool(one_answer(leader, known.pose, given.twins, given.domain).any())
-    if is_back:
-        known = None
-    elif known is not None and fits_again(before, after):
+    if known is not None and is_back:
+        return with_answer(replace(after, displaced=None), known.probability, given)
+    if known is not None and fits_again(before, after):
         right = was_right(known.probability, 1.0, moved(known.pose, wide, leader, after, given))
         known = replace(known, probability=right)
+    here = Displaced(0.0, answer, ahead.rates[last : last + 1], alone(ahead, last, before))
     if one_answer(leader, answer, given.twins, given.domain).any():
+        if known is None and begins_to_fail(before, after):  # what is between may lead it away in the next
+            known = replace(here, probability=before.answered * float(after.existence[existence.NO_FIT]))
         return with_answer(replace(after, displaced=known), before.answered, given)
-    if not is_back and before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
+    if before.existence[existence.ABSENT] < 0.5:  # unseen it may turn anywhere
         right = was_right(before.answered, disturbed, moved(answer, wide, leader, after, given))
+        if known is not None and one_answer(answer, known.pose, given.twins, given.domain).any():
+            here = known  # as it was before frames that it does not fit
         if known is None or right > known.probability:
-            known = Displaced(right, answer, ahead.rates[last : last + 1])
+            known = replace(here, probability=right)
     return with_answer(replace(after, displaced=known), 0.0, given)
 
 
 def fits_again(before: Mixture, after: Mixture) -> bool:
     """Whether a frame is the first that the modes explain since one that they did not."""
     return bool(before.existence[existence.FITS] < 0.5 <= after.existence[existence.FITS])
+
+
+def begins_to_fail(before: Mixture, after: Mixture) -> bool:
+    """Whether a frame is the first in which something has come before what the modes explained."""
+    return bool(before.existence[existence.FITS] >= 0.5 and after.existence[existence.NO_FIT] >= 0.5)
 
 
 def moved(pose: Poses, wide: Array, there: Poses, after: Mixture, given: Given) -> float:

@@ -68,6 +68,7 @@ class Predicted:
     log_weights: Array
     existence: Array  # (3,)
     displaced: Displaced | None
+    returning: int | None = None  # number of the mode that a displaced answer had; the last
     aside: Array = field(default_factory=lambda: np.zeros(2))  # px from there to where the frame shows their light
 
     def believed(self, wrapping: NDArray[np.bool_], at: NDArray[np.intp] | slice = slice(None)) -> Believed:

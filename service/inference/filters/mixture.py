@@ -5,19 +5,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.filters.answer import drawn, estimate_of, unseen
-from service.inference.filters.births import MOST_MODES, same_mode
+from service.inference.filters.births import MOST_MODES, alike_by, is_another, same_mode
 from service.inference.filters.displaced import carried_on, with_displaced
 from service.inference.filters.effort import explains, is_doubted, part_due, searched_nats
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.pointing import pointed
-from service.inference.filters.status import one_answer, status_of, told_existence
+from service.inference.filters.returning import as_it_was, is_back, waiting, with_displaced_mode
+from service.inference.filters.status import status_of, told_existence
 from service.inference.filters.weighing import weigh
 from service.inference.held import believed
 from service.inference.mesh_error import evidence_trust, stated
@@ -35,8 +35,7 @@ from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
 from service.inference.numerics.hill import Hill, Refined, Trust
 from service.inference.numerics.placing import placed
 from service.inference.pose import concatenate, retract
-from service.inference.state import Estimate, FilterState, Mixture, Poses
-from service.inference.symmetry import twin
+from service.inference.state import Estimate, FilterState, Mixture
 
 FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(8, 384), Trust())  # numerical: of four samples thin parts are rough
 _RIM, _SIGHT = 1.2, 1.6  # numerical: of the body's radius that belongs to it; a patch's side over its light's span
@@ -48,10 +47,15 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     before = None if state is None else state.mixture
     noise = motion_noise(given.config.motion, given.domain)
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
-    ahead = None if before is None else predict(before, noise, dt_s)
+    expected = None if before is None else predict(before, noise, dt_s)
+    ahead = None if expected is None else with_displaced_mode(expected)
     places = (ahead,) if before is None or ahead is None else pointed(ahead, before, given)
-    found = propose(rng, before, places[0], given)
-    judged = judge(before, places[0], found, noise, given)
+    found, judged = None, returned(before, places[0], noise, given)
+    if judged is not None:
+        places = places[:1]
+    else:
+        found = propose(rng, before, places[0], given)
+        judged = judge(before, places[0], found, noise, given)
     if judged is not None and not explains(judged.after) and len(places) > 1:
         other = judge(before, places[1], found, noise, given)
         if other is not None and (
@@ -65,8 +69,8 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     if judged is None:
         return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
     updated, after, hill = judged.updated, judged.after, judged.hill
-    if ahead is not None and before is not None and after.existence[existence.ABSENT] >= 0.5:
-        after = waiting(after, ahead, before)
+    if expected is not None and before is not None and after.existence[existence.ABSENT] >= 0.5:
+        after = waiting(after, expected, before)
     return concluded(rng, after, updated, hill, given)
 
 
@@ -79,6 +83,15 @@ class Judged:
     hill: Hill
 
 
+def returned(before: Mixture | None, ahead: Predicted | None, noise: MotionNoise, given: Given) -> Judged | None:
+    """What is left where a displaced answer leads again; None: it does not, and a search may be due."""
+    if before is None or ahead is None or ahead.returning is None:
+        return None
+    was = as_it_was(before)
+    judged = judge(was, replace(ahead, existence=existence.expected(was.existence, 0.0)), None, noise, given)
+    return judged if judged is not None and is_back(judged.updated, ahead) else None
+
+
 def judge(
     before: Mixture | None, ahead: Predicted | None, found: Found | None, noise: MotionNoise, given: Given
 ) -> Judged | None:
@@ -87,29 +100,13 @@ def judge(
     if hill is None or (ahead is None and not (found and found.basins)):
         return None
     gone = before is not None and bool(before.existence[existence.ABSENT] >= 0.5)
-    refined = update(ahead, hill, given.domain.wrapping, far=bool(found and found.basins) or gone)
+    far = bool(found and found.basins) or gone or (ahead is not None and ahead.returning is not None)
+    refined = update(ahead, hill, given.domain.wrapping, far)
     updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
-    after = prune(updated, before, found, given, hill)
+    after = prune(updated, before, found, given, hill, None if ahead is None else ahead.returning)
     after = with_displaced(after, before, ahead, updated.disturbed, given)
     tracked = after.ever_tracked or status_of(after, given.twins, given.domain) == "tracking"
     return Judged(updated, replace(after, ever_tracked=tracked), hill)
-
-
-def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
-    """The modes as they were expected, while there is nothing to see."""
-    return replace(
-        before,
-        poses=ahead.poses,
-        covariance=ahead.covariance,
-        sun_sigmas=ahead.sun_sigmas,
-        paint=ahead.paint,
-        log_weights=ahead.log_weights,
-        existence=after.existence,
-        searches=after.searches,
-        since_search=after.since_search,
-        parts_searched=after.parts_searched,
-        displaced=ahead.displaced,
-    )
 
 
 def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
@@ -128,7 +125,7 @@ def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
         paint=paint.expected(before.paint, turn(before.rates, before.covariance, dt_s)),
         log_weights=weights,
         existence=here,
-        displaced=carried_on(before.displaced, dt_s),
+        displaced=carried_on(before.displaced, noise, dt_s),
     )
 
 
@@ -165,15 +162,6 @@ def beside(
     followed = Followed(track.modes, sight, hill, nuisance)
     met = rivals(given.body, followed, given.bank(), given.told, part, rng, alike_by(given))
     return Found(met, hill, nuisance, part)
-
-
-def alike_by(given: Given) -> Callable[[Poses], Poses] | None:
-    """The symmetry-equivalents of poses; None: there are none."""
-
-    def alike(poses: Poses) -> Poses:
-        return given.domain.wrap(concatenate(*[twin(poses, symmetry) for symmetry in given.twins]))
-
-    return alike if given.twins else None
 
 
 def as_candidates(found: Found) -> Candidates:
@@ -220,22 +208,24 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     enough = np.full(len(poses), ENOUGH if far else 1 / prior.EVIDENCE_TRUST)
     enough[np.argmax(ahead.log_weights)] = ENOUGH
     believed = ahead.believed(wrapping)
-    given = hill, placed(hill, poses, ahead.suns, believed), ahead.suns
+    each = [slice(ahead.returning), slice(ahead.returning, len(poses))][: 2 if ahead.returning else 1]
+    there = [placed(hill, poses[some], ahead.suns[some], ahead.believed(wrapping, some)) for some in each]
+    given = hill, concatenate(*there), ahead.suns
     return ascend(*given, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
 
 
-def is_another(updated: Updated, given: Given) -> bool:
-    """Whether the leader is an answer that no mode had: one that was born beside a mode that it betters is not."""
-    lead, n = int(np.argmax(updated.log_weights)), updated.n_followed
-    if lead < n:
-        return False
-    poses = [one.pose for one in updated.refined]
-    return n == 0 or not one_answer(poses[lead], concatenate(*poses[:n]), given.twins, given.domain).any()
-
-
-def prune(updated: Updated, before: Mixture | None, found: Found | None, given: Given, hill: Hill) -> Mixture:
-    """The heaviest modes; those that met are one."""
+def prune(
+    updated: Updated,
+    before: Mixture | None,
+    found: Found | None,
+    given: Given,
+    hill: Hill,
+    returning: int | None = None,
+) -> Mixture:
+    """The heaviest modes; those that met are one. A displaced answer's is kept elsewhere, unless it leads."""
     log_weights = updated.log_weights - np.logaddexp.reduce(updated.log_weights)
+    if returning is not None and returning != int(np.argmax(log_weights)):
+        log_weights[returning] = -np.inf
     kept: list[int] = []
     for k in np.argsort(-log_weights):
         same = [j for j in kept if same_mode(updated.refined[k], updated.refined[j], given.domain)]

@@ -56,6 +56,11 @@ def test_a_cloud_takes_the_light_of_the_brighter_half(case):
     assert after[2][:, other].sum() == pytest.approx(before[2][:, other].sum(), rel=0.1)
 
 
+def test_after_so_many_frames_a_pass_goes_on_as_it_was(case):
+    before, after = light_of(case), light_of(mirrored(case, 1, 2).case)
+    assert [bool(np.array_equal(a, b)) for a, b in zip(before, after, strict=True)] == [True, False, False, True]
+
+
 def test_every_body_is_followed_with_every_other_mesh(case):
     others = [replace(case, name=name, model=replace(case.model, key=key)) for name, key in ("ax", "by", "cy", "dz")]
     found = list(wrong_meshes(others, 3))
@@ -72,7 +77,8 @@ def test_what_is_noticed_in_time_and_what_ends_wrongly_are_counted():
         MisfitRow("cloud", "b", "m", 2, None, 0.0, "acquiring", ("acquiring",)),
     ]
     overall = misfit_document({}, rows)["overall"]
-    assert overall["mesh"] == {"passes": 2, "noticed": 0.5, "tracking_at_end": 0.5, "tracking": 0.4, "wrong": None}
+    assert overall["mesh"] == {"passes": 2, "noticed": 0.5, "tracking_at_end": 0.5, "tracking": 0.4, "wrong": None,
+                               "back_at_once": 0.0}  # fmt: skip
     assert (overall["cloud"]["noticed"], overall["cloud"]["tracking_at_end"]) == (0.0, 0.0)
     assert "mirror" not in overall
 
@@ -94,5 +100,7 @@ def test_the_command_follows_spoilt_passes(satellite, scenario, tmp_path):
     assert done.exit_code == 0, done.output
     (row,) = json.loads(out.read_text())["rows"]
     assert (row["kind"], row["from_frame"], len(row["statuses"])) == ("mirror", 2, 4)
+    briefly = ["bench", "misfits", str(tmp_path), "--kind", "mirror", "--json", str(out), "--spoilt", "1", *few]
+    assert CliRunner().invoke(app, briefly).exit_code == 0
     refused = CliRunner().invoke(app, ["bench", "misfits", str(tmp_path), "--kind", "fog"])
     assert refused.exit_code == 2

@@ -14,13 +14,16 @@ from service.inference.filters.given import Predicted
 from service.inference.filters.status import told_existence
 from service.inference.model import prior
 from service.inference.model.existence import expected
+from service.inference.motion import motion_noise
 from service.inference.params import PriorParams
 from service.inference.pose import angle_between, retract
 from service.inference.state import Displaced
 from service.inference.symmetry import Symmetry
+from service.sessions.config import effective
 
 GIVEN = SimpleNamespace(twins=(), domain=Domain(144, 144, 1.0, Articulation(()), PriorParams()))
 WIDE = 1e-4 * np.eye(6)  # rad^2: the prediction is known to half a degree
+NOISE = motion_noise(effective({}).motion, GIVEN.domain)
 HALF_TURN = Symmetry(((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)))
 
 
@@ -73,11 +76,11 @@ def test_a_body_turns_as_far_as_it_is_expected_to():
 def test_what_has_come_between_goes_away_and_the_body_turns_on_behind_it():
     rates = np.zeros((1, 6))
     rates[0, 0] = 0.1
-    held = carried_on(Displaced(0.99, HELD, rates), 5.0)
+    held = carried_on(Displaced(0.99, HELD, rates), NOISE, 5.0)
     assert np.rad2deg(angle_between(held.pose.quaternion, turned(0.5).quaternion)[0]) < 1e-6
     odds = held.probability / (1 - held.probability)
     assert odds == pytest.approx(99 * np.exp(-5 * prior.CHANGES_PER_S))
-    assert carried_on(None, 1.0) is None
+    assert carried_on(None, NOISE, 1.0) is None
 
 
 def test_an_answer_far_from_one_that_was_sure_is_not_believed_where_something_has_come_between():
@@ -111,6 +114,17 @@ def test_an_answer_is_remembered_through_a_frame_that_drags_its_mode_away_and_th
     assert turned_on.displaced.probability < 0.1  # it has turned that far, and fits again
     back = leads(turned(0.01), dragged, disturbed=1.0, displaced=dragged.displaced)
     assert back.displaced is None
+
+
+def test_where_something_comes_before_it_an_answer_is_kept_as_it_was_expected():
+    before = replace(mixture(ever=True), answered=0.97)
+    covered = leads(turned(0.02), before, disturbed=1.0, fits=0.1)  # still where it was
+    assert covered.displaced.probability == pytest.approx(0.97 * 0.9) and covered.answered == 0.97
+    assert covered.displaced.pose.quaternion == pytest.approx(HELD.quaternion)
+    elsewhere = leads(turned(2.0), covered, disturbed=1.0, displaced=covered.displaced)
+    assert elsewhere.displaced.was is covered.displaced.was
+    again = leads(turned(0.02), covered, disturbed=1.0, displaced=covered.displaced, fits=0.1)
+    assert again.displaced is None and again.answered == pytest.approx(covered.displaced.probability)
 
 
 def test_unseen_it_may_turn_anywhere():

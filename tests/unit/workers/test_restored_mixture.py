@@ -113,6 +113,34 @@ def test_an_answer_that_was_displaced_is_one(probability, pose, rates):
         check_state(state(replace(MIXTURE, displaced=held)), 1)
 
 
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"covariance": -np.eye(14)[None]},
+        {"covariance": np.eye(12)[None]},
+        {"paint": np.zeros((1, 2, 5))},
+        {"suns": np.zeros((1, 3))},
+        {"sun_sigmas": np.full(1, np.nan)},
+        {"searches": -1},
+        {"misses": 1.0},
+        {"searched_nats": np.inf},
+        {"discrepancy": 0.0},
+    ],
+)
+def test_what_is_remembered_of_it_is_a_mode(broken):
+    held = Displaced(0.5, MIXTURE.poses, np.zeros((1, 7)), MIXTURE)
+    check_state(state(replace(MIXTURE, displaced=held)), 1)
+    with pytest.raises(ValueError, match=r"displaced|mixture"):
+        check_state(state(replace(MIXTURE, displaced=replace(held, was=replace(MIXTURE, **broken)))), 1)
+
+
+def test_nothing_is_remembered_of_what_was_displaced_before():
+    held = Displaced(0.5, MIXTURE.poses, np.zeros((1, 7)), MIXTURE)
+    twice = replace(held, was=replace(MIXTURE, displaced=held))
+    with pytest.raises(ValueError, match="displaced"):
+        check_state(state(replace(MIXTURE, displaced=twice)), 1)
+
+
 CLUTTER = Clutter(
     np.full(256, -5.0, np.float32),
     np.full(256, -6.0, np.float32),

@@ -1,0 +1,90 @@
+"""Modes through frames that do not show them: none is seen at all, or something has come between (docs/model.md, 6)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from service.inference.filters.given import Predicted, Updated
+from service.inference.model import prior
+from service.inference.pose import concatenate
+from service.inference.state import Mixture
+
+
+def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
+    """The modes as they were expected, while there is nothing to see."""
+    return replace(
+        before,
+        poses=ahead.poses,
+        covariance=ahead.covariance,
+        sun_sigmas=ahead.sun_sigmas,
+        paint=ahead.paint,
+        log_weights=ahead.log_weights,
+        existence=after.existence,
+        searches=after.searches,
+        since_search=after.since_search,
+        parts_searched=after.parts_searched,
+        displaced=ahead.displaced,
+    )
+
+
+def with_displaced_mode(ahead: Predicted) -> Predicted:
+    """The modes, and behind them the displaced answer's, where that is as likely as a truth that no mode holds.
+
+    What has come between goes away, and the body is back where it was expected: no search is needed to find it.
+    """
+    known = ahead.displaced
+    if known is None or known.was is None or known.probability < prior.BIRTH:
+        return ahead
+    was = known.was
+    weights = np.append(ahead.log_weights, ahead.log_weights.max() + np.log(prior.BIRTH))
+    return replace(
+        ahead,
+        poses=concatenate(ahead.poses, known.pose),
+        rates=np.concatenate([ahead.rates, known.rates]),
+        covariance=np.concatenate([ahead.covariance, was.covariance]),
+        suns=np.concatenate([ahead.suns, was.suns]),
+        sun_sigmas=np.concatenate([ahead.sun_sigmas, was.sun_sigmas]),
+        paint=np.concatenate([ahead.paint, was.paint]),
+        log_weights=weights - np.logaddexp.reduce(weights),
+        returning=len(ahead.log_weights),
+    )
+
+
+def alone(ahead: Predicted, k: int, before: Mixture) -> Mixture:
+    """One mode as it is expected, and what frames before have told beside it."""
+    one = slice(k, k + 1)
+    return replace(
+        before,
+        poses=ahead.poses[one],
+        rates=ahead.rates[one],
+        covariance=ahead.covariance[one],
+        suns=ahead.suns[one],
+        sun_sigmas=ahead.sun_sigmas[one],
+        paint=ahead.paint[one],
+        log_weights=np.zeros(1),
+        displaced=None,
+    )
+
+
+def is_back(updated: Updated, ahead: Predicted | None) -> bool:
+    """Whether the displaced answer's mode leads again."""
+    return ahead is not None and int(np.argmax(updated.log_weights)) == ahead.returning
+
+
+def as_it_was(before: Mixture) -> Mixture:
+    """With the air, the light, the discrepancy and the searches of the displaced answer, not of what displaced it.
+
+    And as likely there: that a pose which leads is the one that was expected is no chance.
+    """
+    known = before.displaced
+    if known is None or known.was is None:
+        return before
+    return replace(
+        known.was,
+        ever_tracked=before.ever_tracked,
+        since_search=before.since_search,
+        answered=before.answered,
+        displaced=known,
+    )
