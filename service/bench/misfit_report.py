@@ -58,7 +58,7 @@ _SHORT = {"tracking": "T", "acquiring": "a", "ambiguous": "A", "no_fit": "n", "l
 
 
 def _overall(rows: Sequence[MisfitRow]) -> dict[str, float | None]:
-    count = max(len(rows), 1)
+    count, again = max(len(rows), 1), [row.back_after == 1 for row in rows if row.count is not None]
     wrong = [row.wrong for row in rows if row.wrong is not None]
     return {
         "passes": len(rows),
@@ -66,5 +66,5 @@ def _overall(rows: Sequence[MisfitRow]) -> dict[str, float | None]:
         "tracking_at_end": sum(row.last == "tracking" for row in rows) / count,
         "tracking": sum(row.tracking for row in rows) / count,
         "wrong": sum(wrong) / len(wrong) if wrong else None,
-        "back_at_once": sum(row.back_after == 1 for row in rows) / count,
+        "back_at_once": sum(again) / len(again) if again else None,
     }

@@ -41,7 +41,8 @@ class MisfitRow:
     last: str
     statuses: tuple[str, ...]
     wrong: float | None = None  # share of the spoilt frames that is ``tracking`` and off; None: there is no right pose
-    back_after: int | None = None  # frames after the spoilt ones until it is ``tracking`` and right; None: never
+    count: int | None = None  # frames that are spoilt; None: all others
+    back_after: int | None = None  # frames after them until it is ``tracking`` and right; None: never
 
     @property
     def in_time(self) -> bool:
@@ -124,6 +125,7 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
         last=spoilt[-1],
         statuses=tuple(said),
         wrong=wrong / len(spoilt) if misfit.kind == "cloud" else None,  # of what is mirrored no pose is right
+        count=misfit.count,
         back_after=back,
     )
 

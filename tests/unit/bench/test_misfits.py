@@ -78,7 +78,7 @@ def test_what_is_noticed_in_time_and_what_ends_wrongly_are_counted():
     ]
     overall = misfit_document({}, rows)["overall"]
     assert overall["mesh"] == {"passes": 2, "noticed": 0.5, "tracking_at_end": 0.5, "tracking": 0.4, "wrong": None,
-                               "back_at_once": 0.0}  # fmt: skip
+                               "back_at_once": None}  # fmt: skip
     assert (overall["cloud"]["noticed"], overall["cloud"]["tracking_at_end"]) == (0.0, 0.0)
     assert "mirror" not in overall
 
@@ -89,6 +89,16 @@ def test_what_is_tracked_under_a_cloud_is_counted_where_it_is_wrong():
         MisfitRow("cloud", "c", "m", 2, 1, 0.5, "tracking", ("no_fit", "tracking"), 0.5),
     ]
     assert misfit_document({}, rows)["overall"]["cloud"]["wrong"] == 0.25
+
+
+def test_how_many_are_back_at_once_is_counted_where_frames_follow():
+    rows = [
+        MisfitRow("mirror", "a", "m", 5, 1, 0.0, "lost", ("lost",), count=2, back_after=1),
+        MisfitRow("mirror", "b", "m", 5, 1, 0.0, "lost", ("lost",), count=2, back_after=4),
+        MisfitRow("mirror", "c", "m", 5, 1, 0.0, "lost", ("lost",), count=2),
+        MisfitRow("mirror", "d", "m", 5, 1, 0.0, "lost", ("lost",)),
+    ]
+    assert misfit_document({}, rows)["overall"]["mirror"]["back_at_once"] == pytest.approx(1 / 3)
 
 
 def test_the_command_follows_spoilt_passes(satellite, scenario, tmp_path):
