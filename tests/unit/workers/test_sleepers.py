@@ -13,7 +13,8 @@ pytestmark = pytest.mark.anyio
 
 
 async def test_a_worker_that_sleeps_wakes_when_jobs_wait_and_sleeps_again():
-    transport, names = ProcessTransport(Program(FACTORY_OF_AWKWARD), 2, 60.0, awake=1, rest_s=0.0), []
+    transport, names = ProcessTransport(Program(FACTORY_OF_AWKWARD), 2, 60.0, awake=1), []
+    long_enough = transport._sleepers._rest_s
     try:
         await transport.start()
         for _ in range(3):  # one after the other none has to wait
@@ -22,11 +23,14 @@ async def test_a_worker_that_sleeps_wakes_when_jobs_wait_and_sleeps_again():
         pids: set[int] = set()
         while len(pids) < 2:
             pids |= set(await asyncio.gather(*(transport.call(key, "overlay", "pid") for key in "abcd")))
-        while names != ["track-0", "side"]:
-            await asyncio.sleep(0)
+        transport._sleepers._rest_s = 0.0
+        while names != ["track-0", "side"]:  # its last job has ended
+            for key in "abcd":
+                await transport.call(key, "overlay", "pid")
             names = [process["name"] for process in transport.processes()]
             awake = transport._by_name["track-1"].ready
         assert transport.ready and not awake and transport.restarts == 0
+        transport._sleepers._rest_s = long_enough
         while len(pids) < 3:  # and again, as another process
             pids |= set(await asyncio.gather(*(transport.call(key, "overlay", "pid") for key in "abcd")))
     finally:
