@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from service.inference.filters.given import Given, Predicted
-from service.inference.filters.returning import alone
+from service.inference.filters.returning import alone, moved_on
 from service.inference.filters.status import equivalents, leading_share, one_answer, told_existence
-from service.inference.model import existence, paint, prior
-from service.inference.model.dynamics import predicted, predicted_suns, turn
+from service.inference.model import existence, prior
 from service.inference.motion import MotionNoise
 from service.inference.numerics.student import log_density
 from service.inference.pose import local, retract
@@ -30,15 +29,8 @@ def carried_on(before: Displaced | None, noise: MotionNoise, dt_s: float) -> Dis
     if before is None:
         return None
     odds = before.probability / (1 - before.probability) * np.exp(-prior.CHANGES_PER_S * dt_s)
-    pose, was = retract(before.pose, before.rates * dt_s), before.was
-    if was is not None:
-        was = replace(
-            was,
-            poses=pose,
-            covariance=np.stack([predicted(one, noise, dt_s) for one in was.covariance]),
-            sun_sigmas=predicted_suns(was.sun_sigmas, dt_s),
-            paint=paint.expected(was.paint, turn(before.rates, was.covariance, dt_s)),
-        )
+    pose = retract(before.pose, before.rates * dt_s)
+    was = None if before.was is None else moved_on(before.was, noise, dt_s)
     return Displaced(float(odds / (1 + odds)), pose, before.rates, was)
 
 

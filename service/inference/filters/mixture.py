@@ -16,15 +16,14 @@ from service.inference.filters.displaced import carried_on, with_displaced
 from service.inference.filters.effort import explains, is_doubted, part_due, searched_nats
 from service.inference.filters.given import Given, Predicted, Updated
 from service.inference.filters.pointing import pointed
-from service.inference.filters.returning import as_it_was, is_back, waiting, with_displaced_mode
+from service.inference.filters.returning import as_it_was, is_back, moved_on, waiting, with_displaced_mode
 from service.inference.filters.status import status_of, told_existence
 from service.inference.filters.weighing import weigh
 from service.inference.held import believed
 from service.inference.mesh_error import evidence_trust, stated
-from service.inference.model import existence, paint, prior
+from service.inference.model import existence, prior
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import Quality
-from service.inference.model.dynamics import predicted, predicted_suns, turn
 from service.inference.model.expected import lit_box
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.rivals import Followed, rivals
@@ -34,7 +33,7 @@ from service.inference.motion import MotionNoise, motion_noise
 from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
 from service.inference.numerics.hill import Hill, Refined, Trust
 from service.inference.numerics.placing import placed
-from service.inference.pose import concatenate, retract
+from service.inference.pose import concatenate
 from service.inference.state import Estimate, FilterState, Mixture
 
 FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(8, 384), Trust())  # numerical: of four samples thin parts are rough
@@ -111,18 +110,17 @@ def judge(
 
 def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
     """Every mode carried on by its rates."""
-    covariance = np.stack([predicted(one, noise, dt_s) for one in before.covariance])
-    poses = retract(before.poses, before.rates * dt_s)
+    modes = moved_on(before, noise, dt_s)
     weights = prior.EVIDENCE_KEPT * before.log_weights
     weights = weights - np.logaddexp.reduce(weights)
     here = existence.expected(before.existence, dt_s)
     return Predicted(
-        poses=poses,
-        rates=before.rates,
-        covariance=covariance,
-        suns=before.suns,
-        sun_sigmas=predicted_suns(before.sun_sigmas, dt_s),
-        paint=paint.expected(before.paint, turn(before.rates, before.covariance, dt_s)),
+        poses=modes.poses,
+        rates=modes.rates,
+        covariance=modes.covariance,
+        suns=modes.suns,
+        sun_sigmas=modes.sun_sigmas,
+        paint=modes.paint,
         log_weights=weights,
         existence=here,
         displaced=carried_on(before.displaced, noise, dt_s),
@@ -208,10 +206,13 @@ def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far
     enough = np.full(len(poses), ENOUGH if far else 1 / prior.EVIDENCE_TRUST)
     enough[np.argmax(ahead.log_weights)] = ENOUGH
     believed = ahead.believed(wrapping)
-    each = [slice(ahead.returning), slice(ahead.returning, len(poses))][: 2 if ahead.returning else 1]
-    there = [placed(hill, poses[some], ahead.suns[some], ahead.believed(wrapping, some)) for some in each]
-    given = hill, concatenate(*there), ahead.suns
-    return ascend(*given, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
+    if ahead.returning is None:
+        there = placed(hill, poses, ahead.suns, believed)
+    else:  # the picture may have moved otherwise for what has come between
+        each = slice(ahead.returning), slice(ahead.returning, None)
+        apart = (placed(hill, poses[some], ahead.suns[some], ahead.believed(wrapping, some)) for some in each)
+        there = concatenate(*apart)
+    return ascend(hill, there, ahead.suns, steps=FINEST.steps, covariance="last", believed=believed, enough=enough)
 
 
 def prune(

@@ -7,9 +7,22 @@ from dataclasses import replace
 import numpy as np
 
 from service.inference.filters.given import Predicted, Updated
-from service.inference.model import prior
-from service.inference.pose import concatenate
+from service.inference.model import paint, prior
+from service.inference.model.dynamics import predicted, predicted_suns, turn
+from service.inference.motion import MotionNoise
+from service.inference.pose import concatenate, retract
 from service.inference.state import Mixture
+
+
+def moved_on(modes: Mixture, noise: MotionNoise, dt_s: float) -> Mixture:
+    """Every mode carried on by its rates, and what is known of it as far as it lasts."""
+    return replace(
+        modes,
+        poses=retract(modes.poses, modes.rates * dt_s),
+        covariance=np.stack([predicted(one, noise, dt_s) for one in modes.covariance]),
+        sun_sigmas=predicted_suns(modes.sun_sigmas, dt_s),
+        paint=paint.expected(modes.paint, turn(modes.rates, modes.covariance, dt_s)),
+    )
 
 
 def waiting(after: Mixture, ahead: Predicted, before: Mixture) -> Mixture:
