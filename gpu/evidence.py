@@ -33,7 +33,7 @@ from gpu.shaded_reference import EVEN_PLANES
 
 Numbers = NDArray[np.float32]
 Window = tuple[slice, slice]  # rows and columns of a patch
-FILES = ("lanes.cl", "evidence_shared.cl", "evidence_pictures.cl", "evidence_normal.cl", "evidence.cl")
+FILES = ("lanes.cl", *(f"evidence{part}.cl" for part in ("_shared", "_facets", "_pictures", "_normal", "")))
 EIGHT, NEAR, ODD = 8, 704, 5  # as the kernel has them
 HERMITE, BUMPS = 12, 9
 
@@ -226,8 +226,8 @@ def _room(unknowns: int, n_planes: int, side: int, length: int) -> int:
     """Numbers of one work-item, as ``room_in`` deals them out."""
     slots, width, pixels = unknowns - 1, -(-unknowns // EIGHT) * EIGHT, side * side
     vectors = (
-        5 * _lanes(2 * width)
-        + 2 * _lanes(unknowns)
+        6 * _lanes(2 * width)
+        + 3 * _lanes(unknowns)
         + _lanes(4 * slots)
         + _lanes(slots + 3)
         + _lanes(slots * (side // LANES))

@@ -15,7 +15,11 @@ from gpu.program import KernelArgument, Scratch, build, constant
 from gpu.shaded_reference import EVEN_PLANES
 
 Numbers = NDArray[np.float32]
-FILES = ("evidence_shared.cl", *(f"evidence_gpu{part}.cl" for part in ("_room", "_begin", "_model", "_normal", "")))
+FILES = (
+    "evidence_shared.cl",
+    "evidence_facets.cl",
+    *(f"evidence_gpu{part}.cl" for part in ("_room", "_begin", "_model", "_normal", "")),
+)
 # numerical: work-items of a group, a power of two, 16 or more: as many as there are blocks of products in a simple case
 GROUP = 128
 # numerical: in how many parts a pose's products are summed: with them few poses fill a GPU
@@ -57,7 +61,7 @@ class Asked:
     def room(self, n_stars: int) -> int:
         """Numbers of one pose, as ``room_in`` deals them out."""
         pixels, positives = self.side**2, self.n_planes - EVEN_PLANES
-        vectors = (*(5 * [2 * self.unknowns]), self.unknowns, n_stars, positives, positives, _TOLD)
+        vectors = (*(6 * [2 * self.unknowns]), self.unknowns, n_stars, *(3 * [positives]), _TOLD)
         pictures = ((self.unknowns - 1 - _RESIDUAL) * pixels, *(6 * [pixels]), self.n_planes * pixels)
         return sum(-(-count // 32) * 32 for count in (*vectors, STRIPS * 16 * self.blocks, *pictures))
 
@@ -138,7 +142,7 @@ class EvidenceGroups:
         """Set every kernel's arguments; where among them the number of a launch's first pose is."""
         given = constant(self._context, planes)
         held = [constant(self._context, np.ascontiguousarray(a)) for a in host.arrays]
-        offset, mean, precision, start, data, marks, sky, bumps, weights, radii, taps, boxes = held
+        offset, mean, precision, start, pieces, ties, data, marks, sky, bumps, weights, radii, taps, boxes = held
         sizes = (asked.n_groups, asked.side, asked.n_planes, asked.speckle, asked.shifts)
         numbers = np.array([*sizes, host.n_stars, host.every, host.started, asked.room(host.n_stars)], np.int32)
         alike = (numbers, np.array(host.scalars, np.float32), host.spreads, host.own)
@@ -149,7 +153,7 @@ class EvidenceGroups:
             "cover": (given, radii),
             "blur_down": (given, radii, taps, later),
             "blur_across": (weights, radii, taps, later),
-            "start": (mean, precision, start, offset, data),
+            "start": (mean, precision, start, pieces, ties, offset, data),
             "light": (),
             "slopes": (),
             "speckle": (later,),
@@ -158,7 +162,7 @@ class EvidenceGroups:
             "products": (sky, tile),
             "move": (offset, results[-1], *matrix, later),
             "finish": (marks, results[0]),
-            "tell": (mean, offset, sky, *results[1:]),
+            "tell": (mean, precision, pieces, ties, offset, sky, *results[1:]),
         }
         self._given = [*common, *held, *results, given]  # a kernel does not keep what it is told
         for name, arguments in own.items():

@@ -15,6 +15,25 @@ LANES = 16  # as the kernel has them
 _REACH = 3.5  # sigmas of a Gaussian that are summed
 
 
+class Facets(Protocol):
+    """Which of P positive planes are facets of one piece, and how alike they are."""
+
+    @property
+    def piece(self) -> NDArray[np.int32]:
+        """(P,) numbers, in rising order."""
+        ...
+
+    @property
+    def own(self) -> Numbers:
+        """(P,) precision about what the facets of a piece have in common; 0: a plane is alone."""
+        ...
+
+    @property
+    def common(self) -> Numbers:
+        """(P,) precision of that."""
+        ...
+
+
 class Terms(Protocol):
     """What one patch and its priors are to the kernel. Pictures are (S, S), S a multiple of 16."""
 
@@ -56,6 +75,11 @@ class Terms(Protocol):
     @property
     def offset(self) -> Numbers:
         """(Q - 4,) log of each positive plane's share of the gain."""
+        ...
+
+    @property
+    def facets(self) -> Facets:
+        """Which positive planes are alike."""
         ...
 
     @property
@@ -133,7 +157,8 @@ class Terms(Protocol):
 class HostInputs:
     """Of N poses, in the order in which the kernel takes them."""
 
-    # offset, mean, precision, start, data, marks, slopes and sky behind, bumps, weights, radii, taps, boxes
+    # offset, mean, precision, start, pieces, ties, data, marks, slopes and sky behind, bumps, weights, radii, taps,
+    # boxes
     arrays: tuple[NDArray[np.generic], ...]
     every: int  # priors from one pose to the next; 0: all have the same
     started: bool  # whether `start` says where unknowns begin
@@ -156,7 +181,8 @@ def inputs_of(several: Sequence[Terms], numbers: Sequence[int]) -> HostInputs:
     starts = [one.start for one in several if one.start is not None]
     start = np.concatenate([np.atleast_2d(one) for one in starts]) if starts else np.zeros((1, 1), np.float32)
     sky = np.concatenate([terms.slopes, terms.behind[None]])
-    arrays = (terms.offset, mean, precision, start, terms.data, marks, sky, terms.bumps)
+    pieces, ties = np.asarray(terms.facets.piece, np.int32), np.stack([terms.facets.own, terms.facets.common])
+    arrays = (terms.offset, mean, precision, start, pieces, ties, terms.data, marks, sky, terms.bumps)
     boxes = boxes_of(terms.stars)
     scalars = (terms.noise, terms.area, terms.edge**2, terms.gain, terms.star)
     own = np.array([(one.wrong, one.width, one.photon, one.hidden) for one in each], np.float32)

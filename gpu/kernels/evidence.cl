@@ -17,8 +17,8 @@ typedef struct {
     __global float *light, *across, *down, *model, *root, *variance;  // pictures; root: of weights
     __global float *between;    // (side, length)
     __global float *scale;      // (unknowns)
-    __global int *plane;        // (positives) which plane each lit one is
-    __global double *value, *mean, *precision, *move, *pull;  // (unknowns)
+    __global int *plane, *kin;  // (positives) which plane each lit one is, and the first lit one of its piece
+    __global double *value, *mean, *precision, *move, *pull, *tie;  // (unknowns); tie: see evidence_facets.cl
     __global double *total;     // (slots, slots)
     __global double *normal;    // (unknowns, unknowns)
     Products products;
@@ -43,6 +43,7 @@ static Room room_in(__global float *memory, const Scene s)
     r.precision = (__global double *)take(&memory, 2 * width);
     r.move = (__global double *)take(&memory, 2 * width);
     r.pull = (__global double *)take(&memory, 2 * width);
+    r.tie = (__global double *)take(&memory, 2 * width);
     r.pictures = take(&memory, slots * s.stride);
     r.light = take(&memory, s.pixels);
     r.across = take(&memory, s.pixels);
@@ -54,6 +55,7 @@ static Room room_in(__global float *memory, const Scene s)
     r.scale = take(&memory, s.unknowns);
     r.box = (__global Box *)take(&memory, 4 * slots);
     r.plane = (__global int *)take(&memory, s.unknowns);
+    r.kin = (__global int *)take(&memory, s.unknowns);
     r.products.pictures = r.pictures;
     r.products.root = r.root;
     r.products.reach = (__global uint *)take(&memory, slots * (s.side / LANES));
@@ -224,6 +226,11 @@ static void draw_normal(const Scene s, const Room r, const int lit, const int co
         r.normal[i * width + i] += r.precision[i];
         r.move[i] -= r.precision[i] * (r.value[i] - r.mean[i]);
     }
+    for (int i = 0; i < lit; ++i)
+        for (int j = r.kin[i]; r.tie[i] > 0.0 && j < lit && r.kin[j] == r.kin[i]; ++j) {
+            r.normal[i * width + j] -= r.tie[i];
+            r.move[i] += r.tie[i] * (r.value[j] - r.mean[j]);
+        }
     for (int i = count; i < width; ++i) r.move[i] = 0.0;
 }
 
@@ -324,8 +331,7 @@ static void prepare(const Scene s, const Room r, __global const float *slopes)
 // The pictures of the unknowns, their priors and first values: `start`, or where there is none the prior's and the
 // gain that fits best with it. How many positives are lit.
 static int begin(const Scene s, const Room r, __global const float *planes, __global const float *offset,
-    __global const float *given_mean, __global const float *given_precision, __global const float *start,
-    __global const float *data, __global const float *weights, __global const int *radii, __global const float *taps,
+    const Facets f, __global const float *start, __global const float *data, __global const float *weights, __global const int *radii, __global const float *taps,
     const int groups, Box *body)
 {
     const Box all = {0, s.side, 0, s.side};
@@ -358,15 +364,16 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
         r.box[slot] = wide;
         note_reach(s, r, slot, wide);
         r.plane[lit] = p;
-        r.mean[lit] = (double)given_mean[p];
-        r.precision[lit] = (double)given_precision[p];
-        r.value[lit] = start ? (double)start[p] : r.mean[lit];
+        r.mean[lit] = (double)f.mean[p];
+        r.precision[lit] = (double)f.precision[p];
         ++lit;
     }
+    tie_facets(f, r.plane, lit, r.precision, r.mean, r.tie, r.kin);
+    for (int m = 0; m < lit; ++m) r.value[m] = start ? (double)start[r.plane[m]] : r.mean[m];
     for (int k = s.positives; k < s.unknowns; ++k) {
-        r.mean[lit + k - s.positives] = (double)given_mean[k];
-        r.precision[lit + k - s.positives] = (double)given_precision[k];
-        r.value[lit + k - s.positives] = (double)(start ? start[k] : given_mean[k]);
+        r.mean[lit + k - s.positives] = (double)f.mean[k];
+        r.precision[lit + k - s.positives] = (double)f.precision[k];
+        r.value[lit + k - s.positives] = (double)(start ? start[k] : f.mean[k]);
     }
     for (int k = 0; k < lit + s.unknowns - s.positives; ++k) r.scale[k] = 1.0f;
     if (s.speckle) {
@@ -415,12 +422,10 @@ static double log_density(const Scene s, const Room r, __global const uchar *mar
     return total + density * sum_of(told);
 }
 
-// Where the unknowns are, in the order in which they are given; dark planes' at their prior means.
-static void tell_values(const Scene s, const Room r, const int lit, __global const float *given_mean,
-    __global float *out)
+// Where the unknowns are, in the order in which they are given; dark planes' where they are expected.
+static void tell_values(const Scene s, const Room r, const int lit, const Facets f, __global float *out)
 {
-    for (int p = 0; p < s.positives; ++p) out[p] = given_mean[p];
-    for (int m = 0; m < lit; ++m) out[r.plane[m]] = (float)r.value[m];
+    tell_facets(f, r.plane, lit, r.value, out);
     for (int k = s.positives; k < s.unknowns; ++k) out[k] = (float)r.value[lit + k - s.positives];
 }
 
@@ -494,7 +499,8 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
     for (int m = 0; m < lit; ++m) to[m] = (float)r.plane[m];
 }
 
-// given_mean, given_precision (unknowns), or `every` of them a pose; given_start (N, unknowns) if `started`. marks: 1
+// given_mean, given_precision (unknowns), or `every` of them a pose; given_start (N, unknowns) if `started`. pieces
+// (positives), ties (2, positives): `own` and `common` of Facets. marks: 1
 // where a pixel is known from below alone, added to twice the number of a piece that may be a star's; stars
 // (n_stars, 5): of each its number, rows and columns.
 // spreads (N, 4): of each pose its first component, how many they are, its first tap, and which of the drawn ones it
@@ -504,7 +510,7 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
 __kernel void evidence(
     __global const float *planes, const int poses, __global const float *offset, __global const float *given_mean,
     __global const float *given_precision, const int every, __global const float *given_start, const int started,
-    __global const float *data, __global const uchar *marks, __global const float *slopes,
+    __global const int *pieces, __global const float *ties, __global const float *data, __global const uchar *marks, __global const float *slopes,
     __global const float *bumps, __global const float *weights, __global const int *radii,
     __global const float *taps, __global const int *stars, const int groups, const int side, const int n_planes,
     const int speckle, const int shifts, const int rounds, const int length, const int n_stars,
@@ -528,8 +534,9 @@ __kernel void evidence(
         s.photon = own[4 * pose + 2];
         s.hidden = own[4 * pose + 3];
         Box body;
-        const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * pixels, offset,
-            given_mean + (size_t)pose * every, given_precision + (size_t)pose * every,
+        const Facets f = facets_of(positives, pieces, ties, given_mean + (size_t)pose * every,
+            given_precision + (size_t)pose * every);
+        const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * pixels, offset, f,
             started ? given_start + (size_t)pose * s.unknowns : 0, data, weights + spread[0], radii + spread[0],
             taps + spread[2], groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
@@ -547,7 +554,8 @@ __kernel void evidence(
         draw_normal(s, r, lit, count);
         if (details) tell_normal(s, r, count, row, details + pose * told_size(s));
         sound = factorise(r.normal, count, row);
-        double logdet = 0.0, squares = 0.0;
+        const double2 tied = tied_of(lit, r.value, r.mean, r.precision, r.tie, r.kin);
+        double logdet = -tied.x, squares = tied.y;
         for (int i = 0; i < count; ++i) {
             logdet += 2.0 * log(r.normal[i * row + i]) - log(r.precision[i]);
             squares += r.precision[i] * (r.value[i] - r.mean[i]) * (r.value[i] - r.mean[i]);
@@ -558,14 +566,14 @@ __kernel void evidence(
         out[4 * pose + 1] = chi2;
         out[4 * pose + 2] = (float)logdet;
         out[4 * pose + 3] = (float)squares;
-        __global float *drawn = coefficients + (size_t)pose * n_planes;
+        __global float *drawn = coefficients + (size_t)pose * n_planes, *ended = values + (size_t)pose * s.unknowns;
         const float bright = (float)exp(r.value[lit]);
+        tell_values(s, r, lit, f, ended);
         for (int p = 0; p < s.positives; ++p)
-            drawn[p < groups ? p : p + EVEN_PLANES] = bright * exp(offset[p] + given_mean[(size_t)pose * every + p]);
+            drawn[p < groups ? p : p + EVEN_PLANES] = bright * exp(offset[p] + ended[p]);
         for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + EVEN_PLANES] = r.scale[m];
         drawn[groups] = bright * (float)r.value[lit + 1] - s.hidden * (float)r.value[lit + 2];
         for (int k = 0; k < 3; ++k) drawn[groups + 1 + k] = r.scale[lit + 6 + k] * (float)r.value[lit + 6 + k];
-        tell_values(s, r, lit, given_mean + (size_t)pose * every, values + (size_t)pose * s.unknowns);
         if (details) {
             bool firm[2];
             held_step(s, r, lit, count, row, sound, firm);

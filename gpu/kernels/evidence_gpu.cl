@@ -81,17 +81,14 @@ static void tell_pictures(const Scene s, const Room r, const int lit, const int 
     FOR_OWN(m, lit) to[m] = (float)r.plane[m];
 }
 
-// What `combined` draws the same light with, and where the unknowns are; dark planes' at their prior means.
-static void tell_values(const Scene s, const Room r, const int lit, __global const float *mean,
-    __global const float *offset, __global float *drawn, __global float *values)
+// What `combined` draws the same light with, and where the unknowns are; dark planes' where they are expected.
+static void tell_values(const Scene s, const Room r, const int lit, const Facets f, __global const float *offset,
+    __global float *drawn, __global float *values)
 {
     const float bright = (float)exp(r.value[lit]);
-    FOR_OWN(p, s.positives) {
-        int m = 0;
-        while (m < lit && r.plane[m] != p) ++m;
-        drawn[p < s.groups ? p : p + EVEN_PLANES] = m < lit ? r.scale[m] : bright * exp(offset[p] + mean[p]);
-        values[p] = m < lit ? (float)r.value[m] : mean[p];
-    }
+    if (ITEM == 0) tell_facets(f, r.plane, lit, r.value, values);
+    TOGETHER
+    FOR_OWN(p, s.positives) drawn[p < s.groups ? p : p + EVEN_PLANES] = bright * exp(offset[p] + values[p]);
     for (int k = s.positives + ITEM; k < s.unknowns; k += GROUP) values[k] = (float)r.value[lit + k - s.positives];
     FOR_OWN(k, 4)
         drawn[s.groups + k] = k ? r.scale[lit + 5 + k] * (float)r.value[lit + 5 + k]
@@ -119,6 +116,11 @@ __kernel GROUPS void finish(ASKED, __global const uchar *marks, __global float *
         squares += r.precision[i] * (r.value[i] - r.mean[i]) * (r.value[i] - r.mean[i]);
         logs += r.logs[i];
     }
+    if (ITEM == 0) {
+        const double2 tied = tied_of(r.told[LIT], r.value, r.mean, r.precision, r.tie, r.kin);
+        logs -= tied.x;
+        squares += tied.y;
+    }
     const double8 all
         = sum_of_all(sums, (double8)((double)lost, (double)misfit, (double)on, squares, logs, (double)told, 0.0, 0.0));
     if (ITEM == 0) {
@@ -135,13 +137,15 @@ __kernel GROUPS void finish(ASKED, __global const uchar *marks, __global float *
 }
 
 // What is told beside the evidence: see evidence of evidence.cl.
-__kernel GROUPS void tell(ASKED, __global const float *given_mean, __global const float *offset,
-    __global const float *sky, __global float *coefficients, __global float *values, __global float *details)
+__kernel GROUPS void tell(ASKED, __global const float *given_mean, __global const float *given_precision,
+    __global const int *pieces, __global const float *ties, __global const float *offset, __global const float *sky,
+    __global float *coefficients, __global float *values, __global float *details)
 {
     SCENE
     const int lit = r.told[LIT], count = lit + s.unknowns - s.positives;
-    tell_values(s, r, lit, given_mean + (size_t)s.pose * s.every, offset,
-        coefficients + (size_t)s.pose * s.planes, values + (size_t)s.pose * s.unknowns);
+    const Facets f = facets_of(s.positives, pieces, ties, given_mean + (size_t)s.pose * s.every,
+        given_precision + (size_t)s.pose * s.every);
+    tell_values(s, r, lit, f, offset, coefficients + (size_t)s.pose * s.planes, values + (size_t)s.pose * s.unknowns);
     if (details) {
         __global float *to = details + s.pose * told_size(s);
         tell_firm(s, r, lit, count, to);

@@ -102,7 +102,8 @@ static void draw_widths(const Scene s, const Room r, const int lit)
 // Which positives are lit, priors and first values: `start`, or where there is none the prior's and the gain that fits
 // best with it. A group a pose.
 __kernel GROUPS void start(ASKED, __global const float *given_mean, __global const float *given_precision,
-    __global const float *given_start, __global const float *offset, __global const float *data)
+    __global const float *given_start, __global const int *pieces, __global const float *ties,
+    __global const float *offset, __global const float *data)
 {
     __local double8 sums[GROUP];
     SCENE
@@ -115,13 +116,21 @@ __kernel GROUPS void start(ASKED, __global const float *given_mean, __global con
     TOGETHER
     __global const float *mean = given_mean + (size_t)s.pose * s.every;
     __global const float *precision = given_precision + (size_t)s.pose * s.every;
-    __global const float *at = s.started ? given_start + (size_t)s.pose * s.unknowns : mean;
+    __global const float *at = given_start + (size_t)s.pose * s.unknowns;
     FOR_OWN(m, lit + s.unknowns - s.positives) {
         const int k = m < lit ? r.plane[m] : m - lit + s.positives;
         r.mean[m] = (double)mean[k];
         r.precision[m] = (double)precision[k];
-        r.value[m] = (double)at[k];
-        r.scale[m] = m < lit ? exp(offset[k] + mean[k]) : 1.0f;  // of positives for now, before there is a gain
+    }
+    TOGETHER
+    if (ITEM == 0)
+        tie_facets(facets_of(s.positives, pieces, ties, mean, precision), r.plane, lit, r.precision, r.mean, r.tie,
+            r.kin);
+    TOGETHER
+    FOR_OWN(m, lit + s.unknowns - s.positives) {
+        const int k = m < lit ? r.plane[m] : m - lit + s.positives;
+        r.value[m] = s.started ? (double)at[k] : r.mean[m];
+        r.scale[m] = m < lit ? exp(offset[k] + (float)r.mean[m]) : 1.0f;  // of positives for now: there is no gain yet
     }
     TOGETHER
     double power = 0.0, likeness = 0.0;

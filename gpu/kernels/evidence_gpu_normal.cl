@@ -113,6 +113,11 @@ static void draw_normal(const Scene s, const Room r, const int lit, const int co
         for (int m = 0; i == lit && m < lit; ++m) curvature += a[cell(count, m, lit)];
         curvature += r.precision[i];
         double pull = a[cell(count, i, count)] - r.precision[i] * (r.value[i] - r.mean[i]);
+        for (int j = i < lit ? r.kin[i] : count; r.tie[i] > 0.0 && j < lit && r.kin[j] == r.kin[i]; ++j) {
+            pull += r.tie[i] * (r.value[j] - r.mean[j]);
+            if (j == i) curvature -= r.tie[i];
+            if (j > i) a[cell(count, i, j)] -= r.tie[i];
+        }
         for (int k = 0; k < 2; ++k)
             if (ends.firm[k] && i == lit + 1 + k) {
                 curvature *= FIRM;

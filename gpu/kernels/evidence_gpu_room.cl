@@ -30,12 +30,12 @@ typedef struct {
 
 // What a pose has of its own.
 typedef struct {
-    __global double *value, *mean, *precision, *pull, *logs;  // (unknowns)
+    __global double *value, *mean, *precision, *pull, *logs, *tie;  // (unknowns); tie: see evidence_facets.cl
     __global float *scale;     // (unknowns)
     __global float *gained;    // (stars) nats
     __global float *partial;   // (STRIPS, blocks, 16) of the products
     __global int *plane;       // (positives) which plane each lit one is
-    __global int *shows;       // (positives) whether one is lit
+    __global int *shows, *kin; // (positives) whether one is lit; of a lit one the first lit one of its piece
     __global int *told;        // see below
     __global float *pictures;  // (slots, pixels) from RESIDUAL on, positives whether they are lit or not
     __global float *light, *across, *down, *model, *root, *variance;  // pictures; root: of weights
@@ -110,11 +110,13 @@ static Room room_in(__global float *memory, const Scene s)
     r.precision = (__global double *)take(&memory, 2 * s.unknowns);
     r.pull = (__global double *)take(&memory, 2 * s.unknowns);
     r.logs = (__global double *)take(&memory, 2 * s.unknowns);
+    r.tie = (__global double *)take(&memory, 2 * s.unknowns);
     r.scale = take(&memory, s.unknowns);
     r.gained = take(&memory, s.stars);
     r.partial = take(&memory, STRIPS * 16 * blocks_of(slots));
     r.plane = (__global int *)take(&memory, s.positives);
     r.shows = (__global int *)take(&memory, s.positives);
+    r.kin = (__global int *)take(&memory, s.positives);
     r.told = (__global int *)take(&memory, TOLD);
     r.pictures = take(&memory, (slots - RESIDUAL) * s.pixels);
     r.light = take(&memory, s.pixels);

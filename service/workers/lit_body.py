@@ -11,6 +11,7 @@ from gpu.evidence import LightEvidence, open_evidence
 from gpu.mesh import Mesh
 from gpu.shaded import open_shaded
 from gpu.slopes import LightSlopes, open_slopes
+from gpu.surface_facets import surface_facets
 from gpu.surface_groups import surface_groups
 from service.inference.articulation import Articulation
 from service.inference.model.drawing import Drawing
@@ -61,12 +62,14 @@ def _drawing(
     held: ExitStack,
 ) -> Drawing:
     groups = surface_groups(mesh, most=most)
-    drawn = mesh
+    drawn, pieces = mesh, None
+    if most is None:
+        groups, pieces = surface_facets(mesh, groups)
     if radius_px is not None:
         drawn, groups = coarse_mesh(mesh, groups, radius_px)
     shaded = open_shaded(drawn, groups, kind=_kind())
     held.callback(shaded.close)
-    return Drawing(shaded, light, articulation, int(groups.max()) + 1, mesh.radius, slopes)
+    return Drawing(shaded, light, articulation, int(groups.max()) + 1, mesh.radius, slopes, pieces)
 
 
 def _kind() -> str:

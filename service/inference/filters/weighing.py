@@ -92,7 +92,9 @@ def weigh(
         refined=[mode.one for mode in modes],
         rates=np.array([mode.rates for mode in modes]),
         covariance=np.array([mode.covariance for mode in modes]),
-        paint=np.stack([paint.learnt(mode.one.fit, mode.paint, mode.one.paint_variance, fits) for mode in modes]),
+        paint=np.stack(
+            [paint.learnt(mode.one.fit, hill.terms, mode.paint, mode.one.paint_variance, fits) for mode in modes]
+        ),
         log_weights=np.array([mode.log_weight for mode in modes]),
         existence=probabilities,
         nuisance=other if better else nuisance,

@@ -166,6 +166,7 @@ class Drawing:
     n_groups: int
     radius: float  # model units
     slopes: Slopes | None = None  # None: the twin
+    pieces: NDArray[np.int32] | None = None  # (G,) of which piece each group is a facet; None: each is one
 
     def transforms(self, poses: Poses, view: View) -> NDArray[np.float32]:
         """(N, P, 3, 4) to the patch's own pixels."""

@@ -25,9 +25,11 @@ def lit_box(
     x, y = pose.position[0]
     view = View((float(x) - reach, float(y) - reach), 2 * reach / _SIDE, _SIDE, lens)
     groups = drawing.n_groups
-    log_share, sigma = positive_priors(groups, EVEN_PLANES + groups * (1 + len(_QUALITY.gloss)))
+    n_planes = EVEN_PLANES + groups * (1 + len(_QUALITY.gloss))
+    log_share, precision, facets = positive_priors(groups, n_planes, drawing.pieces)
     if paint is not None:
-        log_share = log_share + paint[0] * paint[1] / (paint[1] + sigma**-2)
+        whole = precision + paint[1]
+        log_share = log_share + facets.expected(paint[0] * paint[1] / whole, whole)[0].astype(np.float32)
     shares = np.insert(np.exp(log_share), [groups] * EVEN_PLANES, 0.0).astype(np.float32)  # no even light
     light = drawing.combined(pose, sun, shares, view, _QUALITY)[0].astype(np.float64)
     if light.sum() <= 0.0:

@@ -37,14 +37,14 @@ class Fit:
     log_evidence: float
     chi2: float  # mean square of residual over its scale, on the body
     coefficients: Images  # (Q,) of the drawing's planes: what ``combined`` draws the same light with
-    values: Images  # (U,) of all unknowns, in the order of ``Terms``; of planes that show no light their prior means
+    values: Images  # (U,) of all unknowns, in the order of ``Terms``; of planes that show no light what is expected
     residual: Images  # (S, S)
     weight: Images  # (S, S) precision of a pixel, over A
     model: Images  # (S, S) what the frame should look like after its low pass
     light: Images  # (S, S) the body's part of it
     window: tuple[slice, slice]  # rows and columns beyond which no pose near by changes anything
     columns: Images  # (M, rows, columns) derivatives of the model by the unknowns, in the window
-    precision: Array  # (M,) of the priors
+    precision: Array  # (M,) of the priors, of facets about what their piece has in common
     deviation: Array  # (M,) of the unknowns from their prior means
     normal: Array  # (M, M) curvature of the log posterior by the unknowns
     pull: Array  # (M,) its slope
@@ -92,14 +92,34 @@ def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS)
         rounds -= 1
     fit = unknowns.result()
     gain = float(np.exp(unknowns.value[len(lit)]))
-    coefficients = np.empty(len(planes), np.float32)
-    coefficients[positive] = gain * np.exp(terms.offset + terms.mean[: len(positive)])
-    coefficients[positive[lit]] = gain * np.exp(terms.offset[lit] + unknowns.value[: len(lit)])
-    coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
-    coefficients[n_groups + 1 : even.stop] = np.exp(terms.gain) * unknowns.value[len(lit) + 6 : len(lit) + 9]
     values = terms.mean.copy()
     values[unknowns.kept] = unknowns.value
+    values[: len(positive)] = _expected(terms, lit, unknowns.value[: len(lit)])
+    coefficients = np.empty(len(planes), np.float32)
+    coefficients[positive] = gain * np.exp(terms.offset + values[: len(positive)])
+    coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
+    coefficients[n_groups + 1 : even.stop] = np.exp(terms.gain) * unknowns.value[len(lit) + 6 : len(lit) + 9]
     return replace(fit, planes=planes, coefficients=coefficients, values=values, lit=lit)
+
+
+def _law(terms: Terms, kept: NDArray[np.intp], n: int) -> tuple[Array, Array]:
+    """Means (M,) and precision (M, M) of what is ``kept`` of the unknowns, of which n are positives."""
+    mean, precision = terms.mean[kept].astype(np.float64), np.diag(terms.precision[kept].astype(np.float64))
+    p, lit = len(terms.offset), kept[:n]
+    if n:
+        mean[:n] = terms.facets.expected(terms.mean[:p], terms.precision[:p])[0][lit]
+        precision[:n, :n] = np.linalg.inv(terms.facets.covariance(terms.precision[:p])[np.ix_(lit, lit)])
+    return mean, precision
+
+
+def _expected(terms: Terms, lit: NDArray[np.intp], value: Array) -> Array:
+    """(P,) positives where they are expected when those that are ``lit`` have these values."""
+    p = len(terms.offset)
+    mean, _ = terms.facets.expected(terms.mean[:p], terms.precision[:p])
+    covariance = terms.facets.covariance(terms.precision[:p])
+    if not len(lit):
+        return mean
+    return np.asarray(mean + covariance[:, lit] @ np.linalg.solve(covariance[np.ix_(lit, lit)], value - mean[lit]))
 
 
 class _Unknowns:
@@ -109,7 +129,7 @@ class _Unknowns:
         self._terms, self._positive, self._even, self._normals = terms, positive, even[0], even[1:]
         first = len(terms.offset)
         self.kept = kept = np.concatenate([lit, np.arange(first, len(terms.mean))])
-        self._mean = terms.mean[kept].astype(np.float64)
+        self._mean, self._prior = _law(terms, kept, len(lit))
         self._precision = terms.precision[kept].astype(np.float64)
         self._offset = terms.offset[lit].astype(np.float64)
         self._n = len(lit)
@@ -173,7 +193,7 @@ class _Unknowns:
         """One round: weights from the residual, then a Gauss-Newton step, unless it promises too little; nats."""
         columns, _, _, residual, _, weight = self._look()
         normal, pull = self._system(columns, residual, weight)
-        move = np.linalg.solve(*self._firm(normal + np.diag(self._precision), pull))
+        move = np.linalg.solve(*self._firm(normal + self._prior, pull))
         promised = abs(0.5 * float(pull @ move))
         if promised >= STILL:
             move[: self._n + 1] = np.clip(move[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)
@@ -186,7 +206,7 @@ class _Unknowns:
         """J' W J, and the slope of the log posterior."""
         flat = columns.reshape(len(columns), -1)
         weighted = flat * weight.ravel()
-        pull = (weighted @ residual.ravel()).astype(np.float64) - self._precision * (self.value - self._mean)
+        pull = (weighted @ residual.ravel()).astype(np.float64) - self._prior @ (self.value - self._mean)
         return (weighted @ flat.T).astype(np.float64), pull
 
     def _firm(self, normal: Array, pull: Array) -> tuple[Array, Array]:
@@ -207,15 +227,15 @@ class _Unknowns:
         """The evidence where the steps ended."""
         terms, (columns, light, model, residual, variance, weight) = self._terms, self._look()
         normal, pull = self._system(columns, residual, weight)
-        deviation, root = self.value - self._mean, np.sqrt(self._precision)
-        logdet = float(np.linalg.slogdet(normal / np.outer(root, root) + np.eye(len(root)))[1])
+        deviation, root = self.value - self._mean, np.linalg.cholesky(np.linalg.inv(self._prior))
+        logdet = float(np.linalg.slogdet(root.T @ normal @ root + np.eye(len(root)))[1])
         density = float(np.sum(t_log_density(residual, variance, terms.full), dtype=np.float64))
         evidence = density / terms.area + self.gained
-        evidence -= 0.5 * float(np.sum(self._precision * deviation**2)) + 0.5 * logdet
+        evidence -= 0.5 * float(deviation @ self._prior @ deviation) + 0.5 * logdet
         body = (light**2 > terms.noise / terms.area) & ~terms.full
         chi2 = float(np.mean((residual**2 / variance)[body])) if body.any() else 0.0
         nothing, unlit = np.empty(0, np.float32), np.empty(0, np.intp)
         maps = nothing, residual, weight, model, light, (slice(0, len(residual)),) * 2, columns
-        curvature, firm_pull = self._firm(normal + np.diag(self._precision), pull)
+        curvature, firm_pull = self._firm(normal + self._prior, pull)
         pull = np.where(firm_pull == pull, pull, 0.0)
         return Fit(nothing, evidence, chi2, nothing, *maps, self._precision, deviation, curvature, pull, unlit)

@@ -43,21 +43,21 @@ def painted(terms: Terms, paint: Array) -> Terms:
     return replace(terms, mean=mean.astype(np.float32), precision=precision.astype(np.float32))
 
 
-def learnt(fit: Fit, before: Array, variance: Array, fits: float = 1.0) -> Array:
+def learnt(fit: Fit, terms: Terms, before: Array, variance: Array, fits: float = 1.0) -> Array:
     """(2, P) after a frame that ``fit`` explains, from what was expected: its evidence, and part of the older.
 
-    ``variance`` (P,): of log paint after the frame (``curvature.paint_variance``).
+    ``terms``: the priors, without ``before``. ``variance`` (P,): of log paint after the frame
+    (``curvature.paint_variance``).
 
     Given the gain, so that what all planes share does not blur what tells them apart. Where it is more likely that
     this is not the body's light (``fits`` below a half) nothing is learnt, and what was known is slowly doubted.
     """
-    out, lit, n = before.copy(), fit.lit, len(fit.lit)
+    out, lit, p = before.copy(), fit.lit, len(terms.offset)
     if fits < 0.5 and before[1].any():
         out[1] *= prior.PAINT_DOUBTED
         return out
-    own = fit.precision[:n] - before[1, lit]  # the prior's
-    mean = before[0, lit] * before[1, lit] / fit.precision[:n] + fit.deviation[:n]
-    total = np.maximum(1 / variance[lit] - own, before[1, lit])
-    out[0, lit] = np.where(total > 0, mean / np.maximum(total * variance[lit], 1e-12), 0.0)
-    out[1, lit] = total - (1 - prior.MEMORY_KEPT) * before[1, lit]
+    value = fit.values[:p].astype(np.float64)
+    pull, total = terms.facets.told_alone(before, lit, value, variance, terms.precision[:p].astype(np.float64))
+    out[0, lit] = np.where(total > 0, pull / np.maximum(total, 1e-12), 0.0)[lit]
+    out[1, lit] = total[lit] - (1 - prior.MEMORY_KEPT) * before[1, lit]
     return out

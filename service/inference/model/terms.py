@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from service.inference.model import prior
 from service.inference.model.drawing import EVEN_PLANES
+from service.inference.model.facets import Facets, facets_of
 from service.inference.model.scene import Images, Scene, shift_bumps, sky_slopes
 from service.inference.state import Array
 
@@ -25,8 +26,9 @@ class Terms:
 
     scene: Scene
     offset: Images  # (Q - 4,)
+    facets: Facets  # of the positive planes
     mean: Images  # (U,), or (N, U): of each pose its own
-    precision: Images
+    precision: Images  # of facets: about what their piece has in common
     data: Images
     full: NDArray[np.bool_]
     stars: NDArray[np.uint8]
@@ -55,23 +57,28 @@ class Terms:
         return replace(self, start=start)
 
 
-def positive_priors(n_groups: int, n_planes: int) -> tuple[Images, Array]:
-    """(Q - 4,) log of each positive plane's share of the gain, and the standard deviation of its log about it."""
-    counts = [n_groups, n_planes - EVEN_PLANES - n_groups]
+def positive_priors(
+    n_groups: int, n_planes: int, pieces: NDArray[np.int32] | None = None
+) -> tuple[Images, Array, Facets]:
+    """(Q - 4,) log of each positive plane's share of the gain; precision of its log about it, of facets about what
+    their piece has in common; and what is that.
+    """
+    counts = n_groups, n_planes - EVEN_PLANES - n_groups
     offset = np.repeat(np.array([0.0, log(prior.GLOSS_SHARE)], np.float32), counts)
-    return offset, np.repeat([prior.ALBEDO_SIGMA, prior.GLOSS_LOG_SIGMA], counts)
+    alone, facets = np.repeat([prior.ALBEDO_SIGMA**-2, prior.GLOSS_LOG_SIGMA**-2], counts), facets_of(pieces, counts)
+    return offset, np.where(facets.own > 0, facets.own, alone), facets
 
 
-def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
-    """The terms of a body of G groups whose drawings have Q planes."""
-    offset, positive = positive_priors(n_groups, n_planes)
+def terms_of(scene: Scene, n_groups: int, n_planes: int, pieces: NDArray[np.int32] | None = None) -> Terms:
+    """The terms of a body of G groups whose drawings have Q planes; ``pieces`` (G,): of which each is a facet."""
+    offset, positive, facets = positive_priors(n_groups, n_planes, pieces)
     wings = scene.point_spread.wings
     hides = prior.HIDDEN_MEAN, prior.HIDDEN_SIGMA
     if scene.hides is not None:
         hides = scene.share_of_sky(scene.hides), prior.HIDDEN_ALIKE
-    sigmas = [*positive, prior.GAIN_SIGMA, scene.light.even_sigma, hides[1]] + [prior.SKY_SIGMAS * scene.sigma] * 3
+    sigmas = [prior.GAIN_SIGMA, scene.light.even_sigma, hides[1]] + [prior.SKY_SIGMAS * scene.sigma] * 3
     sigmas += [prior.EVEN_TILT_SIGMA] * 3
-    means = [0.0] * (n_planes - EVEN_PLANES) + [scene.gain, scene.light.even_mean, hides[0]]
+    means = [0.0] * len(positive) + [scene.gain, scene.light.even_mean, hides[0]]
     speckle, shifts = scene.shifts, scene.shifts and wings > 0
     if speckle:
         sigmas += [prior.HERMITE_SIGMA] * 12
@@ -80,8 +87,9 @@ def terms_of(scene: Scene, n_groups: int, n_planes: int) -> Terms:
     return Terms(
         scene=scene,
         offset=offset,
-        mean=np.array(means + [0.0] * (len(sigmas) - len(means)), np.float32),
-        precision=(1.0 / np.array(sigmas) ** 2).astype(np.float32),
+        facets=facets,
+        mean=np.array(means + [0.0] * (len(positive) + len(sigmas) - len(means)), np.float32),
+        precision=np.concatenate([positive, 1.0 / np.array(sigmas) ** 2]).astype(np.float32),
         data=scene.data,
         full=scene.censored,
         stars=scene.stars,

@@ -60,7 +60,7 @@ class Hill:
         return self.drawing.n_groups * (1 + len(self.quality.gloss)) + EVEN_PLANES
 
     def _under(self, scene: Scene) -> Terms:
-        return terms_of(scene, self.drawing.n_groups, self._n_planes)
+        return terms_of(scene, self.drawing.n_groups, self._n_planes, self.drawing.pieces)
 
     def log_evidences(self, planes: Images, terms: Terms | None = None) -> Array:
         """(N,) of drawn poses (N, Q, S, S); ``terms``: other than the hill's own."""

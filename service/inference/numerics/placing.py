@@ -96,17 +96,20 @@ def _expected(hill: Hill, poses: Poses, suns: Array, terms: Terms) -> Images:
 
 def _expected_light(terms: Terms, n_groups: int) -> Images:
     """(N, Q) coefficients of a drawing's planes: priors and learnt paint at their means, the gain one."""
-    shares = np.exp(terms.offset + terms.mean[:, : len(terms.offset)])
+    p = len(terms.offset)
+    mean, _ = terms.facets.expected(terms.mean[:, :p], terms.precision[:, :p])
+    shares = np.exp(terms.offset + mean).astype(np.float32)
     even = np.zeros((len(shares), EVEN_PLANES), np.float32)
-    even[:, 0] = terms.mean[:, len(terms.offset) + 1]
+    even[:, 0] = terms.mean[:, p + 1]
     return np.concatenate([shares[:, :n_groups], even, shares[:, n_groups:]], axis=1)
 
 
 def _paint_variance(terms: Terms) -> Images:
     """(N,) of the log of a pixel's light, as far as its paint is unknown."""
-    count = len(terms.offset)
-    shares = np.exp(terms.offset + terms.mean[:, :count])
-    return np.asarray(np.sum(shares / terms.precision[:, :count], axis=1) / np.sum(shares, axis=1), np.float32)
+    p = len(terms.offset)
+    mean, variance = terms.facets.expected(terms.mean[:, :p], terms.precision[:, :p])
+    shares = np.exp(terms.offset + mean)
+    return np.asarray(np.sum(shares * variance, axis=1) / np.sum(shares, axis=1), np.float32)
 
 
 def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: float, unsure: float) -> Array:

@@ -1,6 +1,7 @@
 """What a mode learns of its body's paint: from frames made with known albedos, and what it then expects."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from lit_body import FINEST, SUN, VIEW, lit_body, pose, scene, seen, shares
 from service.inference.model import paint, prior
 from service.inference.model.drawing import Quality
 from service.inference.model.likelihood import Fit, fit_light
-from service.inference.model.terms import terms_of
+from service.inference.model.terms import Terms, positive_priors, terms_of
 from service.inference.numerics.curvature import paint_variance
 from service.inference.pose import retract
 
@@ -23,17 +24,20 @@ def planes(turn: float) -> np.ndarray:
     return lit_body().planes(at, SUN, VIEW, DRAWN)
 
 
-def fitted(turn: float, seed: int, gain: float = 700.0, known: np.ndarray | None = None, albedo=ALBEDO) -> Fit:
+def fitted(
+    turn: float, seed: int, gain: float = 700.0, known: np.ndarray | None = None, albedo=ALBEDO
+) -> tuple[Fit, Terms]:
     at = retract(pose(), np.array([[0, turn, 0, 0, 0, 0, 0.0]]))
     image = seen(at, shares(lit_body(), gain, albedo, gloss=0.02))
     given = scene(image + np.random.default_rng(seed).normal(0, SIGMA, image.shape), SIGMA, low_pass=FINEST)
     drawn = planes(turn)
     terms = terms_of(given, lit_body().n_groups, drawn.shape[1])
-    terms = terms if known is None else paint.painted(terms, known[None])
-    answers, details = lit_body().light.details(drawn, lit_body().n_groups, terms, 6)
+    under = terms if known is None else paint.painted(terms, known[None])
+    answers, details = lit_body().light.details(drawn, lit_body().n_groups, under, 6)
     parts = (getattr(details[0], field.name) for field in fields(details[0]))
     ended = answers.coefficients[0], answers.values[0]
-    return Fit(drawn[0], float(answers.log_evidence[0]), float(answers.chi2[0]), *ended, *parts)
+    fit = Fit(drawn[0], float(answers.log_evidence[0]), float(answers.chi2[0]), *ended, *parts)
+    return fit, terms
 
 
 def followed(n: int) -> np.ndarray:
@@ -41,8 +45,9 @@ def followed(n: int) -> np.ndarray:
     known = paint.unlearnt(planes(0.0).shape[1])
     for k in range(n):
         known = paint.expected(known, 0.05) if k else known
-        fit = fitted(0.05 * k, k, 700.0 * 1.3 ** (-1) ** k, known)
-        known = paint.learnt(fit, known, paint_variance(fit, np.zeros((1, VIEW.side, VIEW.side)), np.zeros((1, 1))))
+        fit, terms = fitted(0.05 * k, k, 700.0 * 1.3 ** (-1) ** k, known)
+        variance = paint_variance(fit, np.zeros((1, VIEW.side, VIEW.side)), np.zeros((1, 1)))
+        known = paint.learnt(fit, terms, known, variance)
     return known
 
 
@@ -58,7 +63,7 @@ def test_albedos_are_learnt_beside_the_gain():
 def test_a_frame_is_less_of_a_surprise_once_the_paint_is_known_and_other_paint_is_one():
     known = paint.expected(followed(4))
     gains = [
-        fitted(0.2, 9, known=known, albedo=albedo).log_evidence - fitted(0.2, 9, albedo=albedo).log_evidence
+        fitted(0.2, 9, known=known, albedo=albedo)[0].log_evidence - fitted(0.2, 9, albedo=albedo)[0].log_evidence
         for albedo in (ALBEDO, (1.0, 0.3, 2.5))
     ]
     assert gains[0] > 2.0 and gains[1] < -20.0
@@ -94,12 +99,11 @@ def test_information_adds_up_as_the_fading_memory_says_and_wears_off():
         expected = known[0, 0] * before / precision
         total = precision + frame
         after = (precision * expected + frame * value) / total
-        normal = np.diag([total, 1.0])
-        nothing = np.empty(0, np.float32)
-        light = (nothing, 0.0, 1.0, *[nothing] * 6, (slice(0), slice(0)), nothing)
-        fit = Fit(*light, np.array([precision, 1.0]), np.array([after - expected, 0.0]), normal, nothing, np.array([0]))
+        fit = SimpleNamespace(lit=np.array([0]), values=np.array([after]))
+        offset, alone, facets = positive_priors(1, 5)
+        terms = SimpleNamespace(offset=offset, precision=alone, facets=facets)
         mean = (known[0, 0] * before + frame * value) / (before + frame)
-        known = paint.learnt(fit, known, np.array([1 / total]))
+        known = paint.learnt(fit, terms, known, np.array([1 / total]))
         assert known[0, 0] == pytest.approx(mean)
         assert known[1, 0] == pytest.approx(frame + prior.MEMORY_KEPT * before)
     later = paint.expected(known)
