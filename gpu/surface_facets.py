@@ -40,15 +40,13 @@ def _smooth_faces(mesh: Mesh) -> NDArray[np.int64]:
     """(F,) the same number for faces that are connected across edges which bend little."""
     place, _ = merged_pieces(mesh)
     faces = place[mesh.faces]
-    p, q, r = np.moveaxis(np.vstack([part.vertices for part in mesh.parts])[mesh.faces], 1, 0)
-    normal = np.cross(q - p, r - p)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     key, face = edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1], np.tile(np.arange(len(faces)), 3)
     order = np.argsort(key, kind="stable")
     same = np.diff(key[order]) == 0
     one, other = face[order[:-1][same]], face[order[1:][same]]
-    bends = np.abs(np.sum(normal[one] * normal[other], axis=1)) <= np.cos(np.deg2rad(_BEND_DEG))  # wound either way
+    straight = np.abs(np.sum(mesh.normals[one] * mesh.normals[other], axis=1))  # they may be wound either way
+    bends = straight <= np.cos(np.deg2rad(_BEND_DEG))
     one, other = one[~bends], other[~bends]
     links = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(len(faces), len(faces)))
     return np.asarray(connected_components(links, directed=False)[1], np.int64)

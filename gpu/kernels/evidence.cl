@@ -331,8 +331,8 @@ static void prepare(const Scene s, const Room r, __global const float *slopes)
 // The pictures of the unknowns, their priors and first values: `start`, or where there is none the prior's and the
 // gain that fits best with it. How many positives are lit.
 static int begin(const Scene s, const Room r, __global const float *planes, __global const float *offset,
-    const Facets f, __global const float *start, __global const float *data, __global const float *weights, __global const int *radii, __global const float *taps,
-    const int groups, Box *body)
+    const Facets f, __global const float *start, __global const float *data, __global const float *weights,
+    __global const int *radii, __global const float *taps, const int groups, Box *body)
 {
     const Box all = {0, s.side, 0, s.side};
     const int tall = tile_rows(s.first);
@@ -500,9 +500,8 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
 }
 
 // given_mean, given_precision (unknowns), or `every` of them a pose; given_start (N, unknowns) if `started`. pieces
-// (positives), ties (2, positives): `own` and `common` of Facets. marks: 1
-// where a pixel is known from below alone, added to twice the number of a piece that may be a star's; stars
-// (n_stars, 5): of each its number, rows and columns.
+// (positives), ties (2, positives): `own` and `common` of Facets. marks: 1 where a pixel is known from below alone,
+// added to twice the number of a piece that may be a star's; stars (n_stars, 5): of each its number, rows and columns.
 // spreads (N, 4): of each pose its first component, how many they are, its first tap, and which of the drawn ones it
 // is. own (N, 4): C tau^2, width of the point spread, variance per count, light of the sky that a body can hide.
 // out (N, 4): log evidence, chi2 of the body, log det, squared deviation; coefficients (N, planes) what `combined`
@@ -510,8 +509,8 @@ static void tell(const Scene s, const Room r, const int lit, const int count, co
 __kernel void evidence(
     __global const float *planes, const int poses, __global const float *offset, __global const float *given_mean,
     __global const float *given_precision, const int every, __global const float *given_start, const int started,
-    __global const int *pieces, __global const float *ties, __global const float *data, __global const uchar *marks, __global const float *slopes,
-    __global const float *bumps, __global const float *weights, __global const int *radii,
+    __global const int *pieces, __global const float *ties, __global const float *data, __global const uchar *marks,
+    __global const float *slopes, __global const float *bumps, __global const float *weights, __global const int *radii,
     __global const float *taps, __global const int *stars, const int groups, const int side, const int n_planes,
     const int speckle, const int shifts, const int rounds, const int length, const int n_stars,
     const float sigma2, const float area, const float edge2, const float gain, const float star,

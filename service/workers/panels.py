@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpu.mesh import Mesh
+from gpu.surface_groups import face_areas
 from service.inference.articulation import Articulation, Joint
 from service.inference.model.sun_tracking import SunTracking
 from service.inference.params import JointParams
@@ -28,20 +29,15 @@ def sun_tracking(mesh: Mesh, articulation: Articulation, told: JointParams) -> S
 
 def facing(mesh: Mesh, part: int) -> Array:
     """(3,) the line along which most of a part's surface faces, either way; joints at rest."""
-    areas, normals = _areas(mesh)[mesh.part_of == part], mesh.normals[mesh.part_of == part]
+    areas, normals = face_areas(mesh)[mesh.part_of == part], mesh.normals[mesh.part_of == part]
     return np.asarray(np.linalg.eigh(normals.T @ (areas[:, None] * normals))[1][:, -1])
 
 
 def _largest(mesh: Mesh, joint: Joint) -> int:
     turned = {name for stage in joint.stages for name in stage.parts}
-    areas = np.bincount(mesh.part_of, _areas(mesh), len(mesh.parts))
+    areas = np.bincount(mesh.part_of, face_areas(mesh), len(mesh.parts))
     return max((p for p, part in enumerate(mesh.parts) if part.name in turned), key=lambda p: float(areas[p]))
 
 
 def _depth(joint: Joint) -> int:
     return min(stage.depth for stage in joint.stages)
-
-
-def _areas(mesh: Mesh) -> Array:
-    p, q, r = np.moveaxis(np.vstack([part.vertices for part in mesh.parts])[mesh.faces], 1, 0)
-    return np.asarray(0.5 * np.linalg.norm(np.cross(q - p, r - p), axis=1))

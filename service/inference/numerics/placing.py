@@ -33,12 +33,16 @@ _LEAST = 1e-3  # numerical: of the first guess of its light: the body is never t
 def placed(hill: Hill, poses: Poses, suns: Array, believed: Believed) -> Poses:
     """The N poses at their best places (frame px), everything else as it is; where nothing is better, as they are."""
     terms = painted(hill.terms, believed.paint)
-    pictures = _expected(hill, poses, suns, terms)
+    p = len(terms.offset)
+    mean, variance = terms.facets.expected(terms.mean[:, :p], terms.precision[:, :p])
+    bright = np.exp(terms.offset + mean)
+    unsure = (np.sum(bright * variance, axis=1) / np.sum(bright, axis=1)).astype(np.float32)  # of a pixel's log light
+    pictures = _expected(hill, poses, suns, terms, bright.astype(np.float32))
     whole = np.linalg.inv(believed.precision)[:, 3:5, 3:5] / hill.view.binning**2  # patch px
     away = (poses.position - believed.means.position) / hill.view.binning
     reach = hill.trust.place * hill.drawing.radius * np.exp(poses.log_scale) / hill.view.binning
     known = np.linalg.inv(whole)
-    unsure, start = _paint_variance(terms), _start(terms, pictures[0], known[0], away[0])
+    start = _start(terms, pictures[0], known[0], away[0])
     if start.any():
         pictures = np.stack([[_shifted(one, start) for one in parts] for parts in pictures])
     moves = [
@@ -82,34 +86,22 @@ def _brightness_prior(terms: Terms, count: int) -> tuple[Array, Array]:
     return precise, mean
 
 
-def _expected(hill: Hill, poses: Poses, suns: Array, terms: Terms) -> Images:
-    """(N, M, 3, S, S) pictures with their slopes: the body's light, the gain one; by day the sky that it hides, too."""
-    shares = [_expected_light(terms, hill.drawing.n_groups)]
+def _expected(hill: Hill, poses: Poses, suns: Array, terms: Terms, positives: Images) -> Images:
+    """(N, M, 3, S, S) pictures with their slopes: the body's light, the gain one; by day the sky that it hides, too.
+
+    ``positives`` (N, Q - 4): how bright its surfaces are expected.
+    """
+    even = np.zeros((len(positives), EVEN_PLANES), np.float32)
+    even[:, 0] = terms.mean[:, len(terms.offset) + 1]
+    groups = hill.drawing.n_groups
+    shares = [np.concatenate([positives[:, :groups], even, positives[:, groups:]], axis=1)]
     if terms.hidden > np.exp(terms.gain):  # by day: the sky is brighter than a white surface
         cover = np.zeros_like(shares[0])
-        cover[:, hill.drawing.n_groups] = -terms.hidden
+        cover[:, groups] = -terms.hidden
         shares.append(cover)
     drawn = [hill.drawing.combined(poses, suns, share, hill.view, hill.quality) for share in shares]
     pictures = spread_slopes(np.stack(drawn, axis=1), hill.scene.point_spread, hill.scene.smoothing)
     return np.stack(pictures, axis=2)
-
-
-def _expected_light(terms: Terms, n_groups: int) -> Images:
-    """(N, Q) coefficients of a drawing's planes: priors and learnt paint at their means, the gain one."""
-    p = len(terms.offset)
-    mean, _ = terms.facets.expected(terms.mean[:, :p], terms.precision[:, :p])
-    shares = np.exp(terms.offset + mean).astype(np.float32)
-    even = np.zeros((len(shares), EVEN_PLANES), np.float32)
-    even[:, 0] = terms.mean[:, p + 1]
-    return np.concatenate([shares[:, :n_groups], even, shares[:, n_groups:]], axis=1)
-
-
-def _paint_variance(terms: Terms) -> Images:
-    """(N,) of the log of a pixel's light, as far as its paint is unknown."""
-    p = len(terms.offset)
-    mean, variance = terms.facets.expected(terms.mean[:, :p], terms.precision[:, :p])
-    shares = np.exp(terms.offset + mean)
-    return np.asarray(np.sum(shares * variance, axis=1) / np.sum(shares, axis=1), np.float32)
 
 
 def _move(terms: Terms, parts: Images, precision: Array, away: Array, reach: float, unsure: float) -> Array:
