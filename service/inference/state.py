@@ -96,6 +96,7 @@ class Mixture:
     parts_searched: int = 0  # of the search that is under way
     answered: float = 0.0  # probability that the leading answer was told with when it last fitted
     displaced: Displaced | None = None  # by the leader
+    log_discrepancy: Array | None = None  # (2,) pull and information of it that frames have; None: that of tau
 
 
 @dataclass(frozen=True)

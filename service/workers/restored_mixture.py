@@ -25,6 +25,8 @@ def check_mixture(mixture: Mixture, n_joints: int) -> None:
         raise ValueError("a covariance of the mixture is not positive")
     if min(mixture.paint[:, 1].min(initial=0.0), mixture.log_chi2[1], mixture.sun_sigmas.min() - 1e-9) < 0:
         raise ValueError("something that the mixture has learnt has no variance")
+    if mixture.log_discrepancy is not None and mixture.log_discrepancy[1] < 0:
+        raise ValueError("what the mixture knows of the discrepancy has no variance")
     _check_numbers(mixture)
     if mixture.displaced is not None:
         _check_displaced(mixture, mixture.displaced, 6 + n_joints)
@@ -46,6 +48,7 @@ def _check_arrays(mixture: Mixture, d: int) -> None:
         "existence": (mixture.existence, (3,)),
         "point_spread": (mixture.point_spread, (2,)),
         "log_chi2": (mixture.log_chi2, (2,)),
+        "log_discrepancy": (np.zeros(2) if mixture.log_discrepancy is None else mixture.log_discrepancy, (2,)),
     }
     for name, (array, shape) in shapes.items():
         if array.shape != shape or array.dtype != np.float64 or not 1 <= n <= _MOST_MODES:

@@ -92,6 +92,7 @@ class Updated:
     nuisance: Nuisance
     log_chi2: Array  # (2,)
     log_light: float
+    log_discrepancy: Array  # (2,)
     nats: float  # log evidence of this body against the empty sky
     hidden: float  # share of its light that lies where nothing is known
     n_followed: int  # K

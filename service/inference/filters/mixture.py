@@ -63,7 +63,7 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
             judged = other
     mesh_error = given.domain.prior.mesh_error
     if judged is not None and before is None and found is not None and is_doubted(judged.after, mesh_error):
-        once_more = looked(rng, Track(as_candidates(found), doubted=True), given, shake=True)
+        once_more = looked(rng, Track(found.candidates, doubted=True), given, shake=True)
         judged = judge(before, ahead, once_more, noise, given) or judged
     if judged is None:
         return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
@@ -103,9 +103,22 @@ def judge(
     refined = update(ahead, hill, given.domain.wrapping, far)
     updated = weigh(refined, ahead, found, hill, noise, nuisance, given, before)
     after = prune(updated, before, found, given, hill, None if ahead is None else ahead.returning)
-    after = with_displaced(after, before, ahead, updated.disturbed, given)
+    disturbed = updated.disturbed
+    if before is not None and ahead is not None and is_another(updated, given):
+        disturbed = unsearched(before, ahead, noise, given).disturbed
+    after = with_displaced(after, before, ahead, disturbed, given)
     tracked = after.ever_tracked or status_of(after, given.twins, given.domain) == "tracking"
     return Judged(updated, replace(after, ever_tracked=tracked), hill)
+
+
+def unsearched(before: Mixture, ahead: Predicted, noise: MotionNoise, given: Given) -> Updated:
+    """The modes as if nothing had been found: under the air and the discrepancy that they explained frames with.
+
+    Under those of a better answer a wrong one explains nothing, as if something had come between.
+    """
+    _, hill, nuisance = followed_on(before, ahead, given)
+    refined = update(ahead, hill, given.domain.wrapping, far=False)
+    return weigh(refined, ahead, None, hill, noise, nuisance, given, before)
 
 
 def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
@@ -160,12 +173,6 @@ def beside(
     followed = Followed(track.modes, sight, hill, nuisance)
     met = rivals(given.body, followed, given.bank(), given.told, part, rng, alike_by(given))
     return Found(met, hill, nuisance, part)
-
-
-def as_candidates(found: Found) -> Candidates:
-    """The basins of a search, for another."""
-    poses, suns = concatenate(*[one.pose for one in found.basins]), np.stack([one.sun for one in found.basins])
-    return Candidates(poses, suns, np.array([one.log_posterior for one in found.basins]))
 
 
 def ground(
@@ -252,6 +259,7 @@ def prune(
         existence=updated.existence,
         point_spread=np.array([updated.nuisance.core, updated.nuisance.wings]),
         discrepancy=updated.nuisance.discrepancy,
+        log_discrepancy=updated.log_discrepancy,
         photon=updated.nuisance.photon,
         hides=updated.nuisance.hides,
         sharpened=updated.nuisance.sharpened,

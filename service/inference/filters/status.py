@@ -39,7 +39,10 @@ def found_share(mixture: Mixture, mesh_error: float = 0.0) -> float:
 def followed_share(mixture: Mixture, mesh_error: float = 0.0) -> float:
     """Probability that it is this body whose light was followed, though something else may have its place now."""
     met = 1 - existence.missed(mixture.searches, mixture.misses, nats=mixture.searched_nats)
-    return float(met * existence.of_this_body(mixture.discrepancy, mesh_error))
+    told = mixture.log_discrepancy
+    if told is None:
+        told = existence.log_discrepancy_known(mixture.discrepancy)
+    return float(met * existence.of_this_body(told, mesh_error))
 
 
 def status_of(mixture: Mixture, twins: Sequence[Symmetry], domain: Domain) -> str:

@@ -38,6 +38,16 @@ class Weighed:
 
 
 @dataclass(frozen=True)
+class Looks:
+    """Log evidences of one mode beside its own, and what the frame says of its discrepancy."""
+
+    afresh: float  # were its paint unknown
+    unlike: float  # as of another body
+    elsewhere: float  # under another air
+    log_discrepancy: Array  # (2,)
+
+
+@dataclass(frozen=True)
 class Usual:
     """What earlier frames say of a body's light, and of what it leaves over."""
 
@@ -59,14 +69,14 @@ def weigh(
     """All modes with what the frame says of them, and of whether any of them is true."""
     trust, usual = evidence_trust(given.domain), usual_of(before, given.domain.prior.mesh_error)
     level, afresh = None, -np.inf  # weight of no evidence in this frame; evidence of the leader were its paint unknown
-    other, looks = neighbour(nuisance, given.index, hill.scene.hidden), (-np.inf, -np.inf, -np.inf)
+    other, looks = neighbour(nuisance, given.index, hill.scene.hidden), None
     turned, new = newborn(refined, ahead, found, given)
     modes = [] if ahead is None else all_followed(refined, turned, ahead, hill, given)
     n_followed, lead = len(modes), max(modes, key=lambda mode: mode.log_weight, default=None)
     if lead is not None:
         looks = looks_at(lead, hill, other)
         others = [one.fit.log_evidence for one, k in new if k is not None and modes[k] is lead]
-        afresh = max([looks[0], *others])
+        afresh = max([looks.afresh, *others])
         alone = lead.alone + afresh - lead.one.fit.log_evidence
         level = lead.log_weight - trust * alone
     for one, k in new:
@@ -79,15 +89,13 @@ def weigh(
             modes.append(born(one, same, len(new), ahead.paint[k], noise, given.domain))
     best = max(modes, key=lambda mode: mode.log_weight)
     absent = existence.log_absent(hill)
-    if best is not lead:
+    if looks is None or best is not lead:
         looks = looks_at(best, hill, other)
-    seen, afresh, unlike, elsewhere = (best, looks), max(afresh, looks[0]), looks[1], looks[2]
+    seen, afresh = (best, looks), max(afresh, looks.afresh)
     explained = best.one.fit.log_evidence + best.occam + log_prior(nuisance, hill)
     light = existence.log_light(hill, best.one.fit)
-    probabilities = hypotheses(best, (absent, afresh, unlike), light, ahead, usual)
+    probabilities = hypotheses(best, (absent, afresh, looks.unlike), light, ahead, usual)
     fits = float(probabilities[existence.FITS])
-    better = elsewhere + log_prior(other, hill) > best.one.fit.log_evidence + log_prior(nuisance, hill)
-    better = better and lets_through(hill, other)
     return Updated(
         refined=[mode.one for mode in modes],
         rates=np.array([mode.rates for mode in modes]),
@@ -97,9 +105,12 @@ def weigh(
         ),
         log_weights=np.array([mode.log_weight for mode in modes]),
         existence=probabilities,
-        nuisance=other if better else nuisance,
+        nuisance=better_air(best, looks, (nuisance, other), hill),
         log_chi2=existence.usual_chi2(usual.log_chi2, best.one.fit.chi2, fits),
         log_light=existence.usual_light(usual.log_light, light, fits),
+        log_discrepancy=existence.log_discrepancy_so_far(
+            None if before is None or best is not lead else before.log_discrepancy, looks.log_discrepancy, fits
+        ),
         nats=explained - absent,
         hidden=existence.hidden_share(hill, best.one.fit),
         n_followed=n_followed,
@@ -153,14 +164,25 @@ def born(
     return Weighed(one, np.zeros(d), new_born(one.covariance, noise), weight, share, one.log_posterior, expected)
 
 
-def looks_at(mode: Weighed, hill: Hill, other: Nuisance) -> tuple[float, float, float]:
-    """Log evidences of one mode: were its paint unknown; as of another body; and under another air."""
-    fit, ways = mode.one.fit, [(hill.scene, None), (scene_under(hill, other), mode.paint)]
+def better_air(best: Weighed, looks: Looks, airs: tuple[Nuisance, Nuisance], hill: Hill) -> Nuisance:
+    """Of the one that a frame was seen under and of the other that it was looked at under."""
+    nuisance, other = airs
+    better = looks.elsewhere + log_prior(other, hill) > best.one.fit.log_evidence + log_prior(nuisance, hill)
+    return other if better and lets_through(hill, other) else nuisance
+
+
+def looks_at(mode: Weighed, hill: Hill, other: Nuisance) -> Looks:
+    """One mode in one launch, its picture as it is."""
+    fit, (less, more) = mode.one.fit, existence.scenes_about(hill)
+    ways = [(hill.scene, None), (scene_under(hill, other), mode.paint), (less, mode.paint), (more, mode.paint)]
     unlike = existence.log_unlike_of(hill, fit)
     if unlike > fit.log_evidence - _REFITTED:
         ways.append((existence.scene_unlike(hill), None))
-    afresh, elsewhere, *more = hill.log_evidences_under(fit.planes[None], ways, fit.values[None])[:, 0]
-    return float(afresh), float(more[0]) if more else unlike, float(elsewhere)
+    logs = [float(one) for one in hill.log_evidences_under(fit.planes[None], ways, fit.values[None])[:, 0]]
+    afresh, elsewhere, below, above, *refitted = logs
+    gains = below - fit.log_evidence, above - fit.log_evidence
+    told = existence.log_discrepancy(hill.scene.discrepancy, gains)
+    return Looks(afresh, refitted[0] if refitted else unlike, elsewhere, told)
 
 
 def hypotheses(
@@ -195,7 +217,7 @@ def hypotheses(
 
 def come_between(
     modes: list[Weighed],
-    seen: tuple[Weighed, tuple[float, float, float]],
+    seen: tuple[Weighed, Looks],
     hill: Hill,
     other: Nuisance,
     ahead: Predicted,
@@ -206,10 +228,10 @@ def come_between(
     ``seen``: a mode that was looked at already, and what was seen (``looks_at``).
     """
     answer = modes[int(np.argmax(ahead.log_weights))]
-    afresh, unlike, _ = seen[1] if answer is seen[0] else looks_at(answer, hill, other)
+    looks = seen[1] if answer is seen[0] else looks_at(answer, hill, other)
     light = existence.log_light(hill, answer.one.fit)
     usual = Usual(before.log_light, before.log_chi2, 1.0)
-    _, fits, no_fit = hypotheses(answer, (-np.inf, afresh, unlike), light, ahead, usual)
+    _, fits, no_fit = hypotheses(answer, (-np.inf, looks.afresh, looks.unlike), light, ahead, usual)
     return float(no_fit / (fits + no_fit))
 
 

@@ -17,6 +17,9 @@ from service.inference.state import Array, Goodness
 
 ABSENT, FITS, NO_FIT = range(3)
 _LEAST_CHI2 = 1e-3  # numerical: so that it has a logarithm
+_TIMES = 2.0  # numerical: and half of it: where a parabola goes through the evidence of a discrepancy
+_LOG_TAUS = np.log(prior.DISCREPANCY_OWN) + 0.05 * (np.arange(84) + 0.5)  # numerical: middles of cells, to 0.33
+_KNOWN = 400.0  # numerical: information of a log that is as good as known
 
 
 def expected(before: Array | None, dt_s: float) -> Array:
@@ -144,19 +147,50 @@ def hidden_share(hill: Hill, fit: Fit) -> float:
     return float(np.clip(np.sum(fit.light[unknown]) / whole, 0.0, 1.0)) if whole > 0 else 0.0
 
 
-def of_this_body(discrepancy: float, mesh_error: float = 0.0) -> float:
-    """Probability that the model is the body's, by the discrepancy that its frames ask for.
+def scenes_about(hill: Hill) -> tuple[Scene, Scene]:
+    """A hill's scene with half and with twice its discrepancy."""
+    below, above = (hill.scene.under(discrepancy=times * hill.scene.discrepancy) for times in (1 / _TIMES, _TIMES))
+    return below, above
 
-    It is the same in all frames, so it counts once, and not frame after frame. A mesh that is known to be off, by
-    ``mesh_error``, asks for more of its own.
+
+def log_discrepancy(discrepancy: float, gains: tuple[float, float]) -> Array:
+    """(2,) pull and information of the log of a discrepancy, by a parabola through a frame's log evidence.
+
+    ``gains``: what log evidence gains with half and with twice of it (``scenes_about``), nats.
+    """
+    (below, above), step = gains, float(np.log(_TIMES))
+    information = max(-(below + above) / step**2, 0.0)
+    return np.array([(above - below) / (2 * step) + information * float(np.log(discrepancy)), information])
+
+
+def log_discrepancy_so_far(before: Array | None, now: Array, fits: float) -> Array:
+    """(2,) of all frames: it is the same in all, but drawings err in the same places. None: there were no others."""
+    if before is None:
+        return now
+    return now + prior.MEMORY_KEPT * before if fits >= 0.5 else before
+
+
+def log_discrepancy_known(discrepancy: float) -> Array:
+    """(2,) of one that is known."""
+    return _KNOWN * np.array([np.log(discrepancy), 1.0])
+
+
+def of_this_body(told: Array, mesh_error: float = 0.0) -> float:
+    """Probability that the model is the body's, by what frames say of the discrepancy that it asks for.
+
+    ``told`` (2,): ``log_discrepancy_so_far``. A mesh that is known to be off, by ``mesh_error``, asks for more of its
+    own.
     """
     least = float(np.hypot(prior.DISCREPANCY_OWN, prior.MESH_DISCREPANCY * mesh_error))
-    above = max(float(np.log(discrepancy / least)), 0.0)
-    own = -0.5 * (above / prior.DISCREPANCY_OWN_LOG_SIGMA) ** 2 + float(np.log(2 / prior.DISCREPANCY_OWN_LOG_SIGMA))
     median, sigma = prior.DISCREPANCY_UNLIKE
-    other = -0.5 * (float(np.log(discrepancy / median)) / sigma) ** 2 - float(np.log(sigma))
+    own = -0.5 * (np.maximum(_LOG_TAUS - np.log(least), 0.0) / prior.DISCREPANCY_OWN_LOG_SIGMA) ** 2
+    own += np.log(2 / prior.DISCREPANCY_OWN_LOG_SIGMA)
+    other = -0.5 * ((_LOG_TAUS - np.log(median)) / sigma) ** 2 - np.log(sigma)
+    pull, information = told
+    frames = pull * _LOG_TAUS - 0.5 * information * _LOG_TAUS**2
+    fitted, unlike = (np.logaddexp.reduce(law + frames) for law in (own, other))
     _, fits, no_fit = prior.EXISTENCE
-    return float(1 / (1 + no_fit / fits * np.exp(other - own)))
+    return float(1 / (1 + no_fit / fits * np.exp(unlike - fitted)))
 
 
 def goodness(hill: Hill, fit: Fit) -> Goodness:

@@ -43,6 +43,7 @@ from service.inference.model.templates import Bank, directions
 from service.inference.numerics.gauss_newton import ascend, stepped
 from service.inference.numerics.hill import Hill, Looked, Refined, looked
 from service.inference.numerics.priors import PosePrior
+from service.inference.pose import concatenate
 from service.inference.state import Poses
 
 BANK_SIZE = 4500  # numerical: rotations 12 degrees apart; as many again for each joint, three times at the most
@@ -67,6 +68,12 @@ class Found:
     hill: Hill
     nuisance: Nuisance  # frame px
     part: Part = WHOLE  # that was searched
+
+    @property
+    def candidates(self) -> Candidates:
+        """The basins, for another search."""
+        poses, suns = concatenate(*[one.pose for one in self.basins]), np.stack([one.sun for one in self.basins])
+        return Candidates(poses, suns, np.array([one.log_posterior for one in self.basins]))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import test_light_filter as lit
 from held_mixture import HELD, mixture
 
 from service.inference.articulation import Articulation
@@ -138,3 +139,21 @@ def test_what_a_leader_is_told_with_is_kept_while_it_does_not_fit():
     before = replace(mixture(ever=True), answered=0.97)
     covered = replace(mixture(existence=(0.0, 0.1, 0.9), ever=True), poses=HELD)
     assert with_displaced(covered, before, predicted(before), 0.0, GIVEN).answered == 0.97
+
+
+def test_a_wrong_answer_that_explained_its_frames_by_its_discrepancy_does_not_outlive_a_better_one():
+    """Under the discrepancy of the truth it explains nothing, as if something had come between."""
+    state, turn = lit.passed()[2][0], 0.6 * np.eye(6)[1:2]
+    wrong = replace(
+        state.mixture,
+        poses=retract(state.mixture.poses, turn),
+        paint=0 * state.mixture.paint,
+        discrepancy=0.1,
+        log_discrepancy=None,
+        log_chi2=np.array([0.1, 0.05]),
+        answered=0.9,
+        searches=0,
+    )
+    state, estimate = lit.advance(replace(state, mixture=wrong), lit.frame(3), 3)
+    assert lit.error_deg(estimate, 3) < 3.0 and state.mixture.discrepancy < 0.02
+    assert state.mixture.displaced is None and estimate.status == "tracking"

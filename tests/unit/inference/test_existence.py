@@ -6,6 +6,7 @@ import functools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from held_mixture import mixture
 from lit_body import QUALITY, SUN, scene, shares
 from test_light_filter import SIGMA, SIZE, Drawn, advance, body, given, passed, step, truth
@@ -142,6 +143,30 @@ def test_a_body_no_larger_than_a_star_is_followed_however_large_the_patch_it_is_
 
 
 def test_the_discrepancy_that_frames_ask_for_tells_a_body_from_another():
-    told = [existence.of_this_body(tau) for tau in (0.005, 0.01, 0.02, 0.03, 0.04, 0.08)]
+    known = existence.log_discrepancy_known
+    told = [existence.of_this_body(known(tau)) for tau in (0.005, 0.01, 0.02, 0.03, 0.04, 0.08)]
     assert told == sorted(told, reverse=True)
     assert told[1] > 0.98 and told[2] > 0.9 and 0.2 < told[3] < 0.8 and told[5] < 0.02
+
+
+def test_frames_that_say_nothing_of_the_discrepancy_tell_no_body_from_another():
+    """Where evidence is alike at half and twice of it, the grid's best is chance: the prior's odds are left."""
+    flat = existence.log_discrepancy(0.06, (0.0, 0.0))
+    assert flat.tolist() == [0.0, 0.0] and existence.of_this_body(flat) == pytest.approx(8 / 9, abs=2e-3)
+    weak = existence.log_discrepancy(0.03, (-0.1, -0.1))
+    assert existence.of_this_body(existence.log_discrepancy_known(0.03)) < existence.of_this_body(weak) < 8 / 9
+
+
+def test_the_evidence_of_a_discrepancy_is_that_of_a_normal_law_of_its_log():
+    mean, sigma, at = np.log(0.02), 0.4, 0.03
+    height = [-0.5 * ((np.log(at * times) - mean) / sigma) ** 2 for times in (1.0, 0.5, 2.0)]
+    pull, information = existence.log_discrepancy(at, (height[1] - height[0], height[2] - height[0]))
+    assert information == pytest.approx(sigma**-2) and pull / information == pytest.approx(mean)
+
+
+def test_what_frames_say_of_the_discrepancy_adds_up_and_fades():
+    one, other = existence.log_discrepancy_known(0.01), existence.log_discrepancy_known(0.02)
+    both = existence.log_discrepancy_so_far(one, other, fits=1.0)
+    assert both == pytest.approx(other + prior.MEMORY_KEPT * one)
+    assert existence.log_discrepancy_so_far(one, other, fits=0.2) is one  # another's light
+    assert existence.log_discrepancy_so_far(None, other, fits=0.2) is other

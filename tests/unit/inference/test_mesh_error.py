@@ -13,6 +13,7 @@ from service.inference.filters.answer import drawn, mode_spread
 from service.inference.filters.status import told_existence
 from service.inference.mesh_error import evidence_trust, mesh_variance, stated, stated_belief
 from service.inference.model import prior
+from service.inference.model.existence import log_discrepancy_known as known
 from service.inference.model.existence import of_this_body
 from service.inference.params import PriorParams
 from service.inference.smoothed import summarise_belief
@@ -80,10 +81,10 @@ def test_evidence_counts_for_less_the_less_the_mesh_is_like_the_body():
 
 
 def test_a_mesh_that_is_off_asks_for_more_discrepancy_of_its_own():
-    assert of_this_body(0.02, 0.0) == of_this_body(0.02)
-    told = [of_this_body(0.03, error) for error in (0.0, 0.02, 0.05)]
+    assert of_this_body(known(0.02), 0.0) == of_this_body(known(0.02))
+    told = [of_this_body(known(0.03), error) for error in (0.0, 0.02, 0.05)]
     assert told == sorted(told) and told[2] > 0.85 > 0.6 > told[0]
-    assert of_this_body(0.2, ERROR) < 0.5  # another body's all the same
+    assert of_this_body(known(0.2), ERROR) < 0.5  # another body's all the same
     held = mixture(discrepancy=0.03)
     assert told_existence(held, ERROR)[1] > told_existence(held)[1]
 
