@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from service.imaging.patch import Light, cut
 from service.imaging.pieces import find_light
-from service.inference.filters.mixture import FOLLOWED
+from service.inference.filters.grounds import FOLLOWED
 from service.inference.model.candidates import Candidates
 from service.inference.model.drawing import View
 from service.inference.model.nuisance import Nuisance

@@ -1,4 +1,4 @@
-"""Frames that a model must not explain: another body's, mirrored ones, a cloud over half of the body.
+"""Frames that a model must not explain: another body's, mirrored ones, what passes before the body.
 
 Each is a case whose later frames are spoilt; what counts is what the filter says of itself, not a pose.
 """
@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.bench.brightness import counts, grey, pixels
 from service.bench.cases import Case, TruthFrame
@@ -20,12 +21,14 @@ from service.imaging.decode import Pixels
 from service.simulate.folder import encode_png
 from service.workers.tracker import Tracker
 
-KINDS = ("mesh", "mirror", "cloud")
 NOTICED = ("no_fit", "lost", "ambiguous")
 WITHIN = 5  # frames in which it should be noticed
 BEFORE = 5  # frames before those that are spoilt, where only some are
 _CLOUD = 0.1  # of the light that comes through
 _CLOUD_EDGE = 0.1  # of the body's radius
+_BIRD, _BIRD_AT = 0.8, (0.6, 0.2)  # of the body's radius: a bird's own, and its place to the right of and below it
+_TRAIL, _TRAIL_PX, _TRAIL_AT_PX = 0.6, 1.5, 3.0  # share of full scale; width; how far from the body's middle
+_TRAIL_ACROSS, _TRAIL_DOWN = 0.6, -0.8  # normal of a trail
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,35 @@ def clouded(case: Case, from_frame: int, count: int | None = None) -> Misfit:
     return Misfit("cloud", _spoilt(case, from_frame, count, cover), from_frame, count)
 
 
+def crossed(case: Case, from_frame: int, count: int | None = None) -> Misfit:
+    """A dark bird, or another body, lets no light through over much of the body."""
+    sky = np.mean([pixels(body) for body in case.backgrounds()], axis=0)
+
+    def cover(image: Pixels, truth: TruthFrame) -> Pixels:
+        across, down = _from_body(image, truth)
+        radius = case.model.mesh.radius * truth.scale
+        there = np.hypot(across - _BIRD_AT[0] * radius, down - _BIRD_AT[1] * radius) < _BIRD * radius
+        return np.where(there.reshape(*there.shape, *[1] * (image.ndim - 2)), counts(sky, image), image)
+
+    return Misfit("bird", _spoilt(case, from_frame, count, cover), from_frame, count)
+
+
+def trailed(case: Case, from_frame: int, count: int | None = None) -> Misfit:
+    """Another satellite's bright trail runs through the body."""
+
+    def add(image: Pixels, truth: TruthFrame) -> Pixels:
+        across, down = _from_body(image, truth)
+        off = _TRAIL_ACROSS * across + _TRAIL_DOWN * down - _TRAIL_AT_PX
+        light = _TRAIL * np.iinfo(image.dtype).max * np.exp(-0.5 * (off / _TRAIL_PX) ** 2)
+        return counts(image + light.reshape(*light.shape, *[1] * (image.ndim - 2)), image)
+
+    return Misfit("trail", _spoilt(case, from_frame, count, add), from_frame, count)
+
+
+SPOILT = {"mirror": mirrored, "cloud": clouded, "bird": crossed, "trail": trailed}
+KINDS = ("mesh", *SPOILT)
+
+
 def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> MisfitRow:
     """Follow one, and say when it was noticed."""
     case = misfit.case
@@ -124,10 +156,17 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
         tracking=share,
         last=spoilt[-1],
         statuses=tuple(said),
-        wrong=wrong / len(spoilt) if misfit.kind == "cloud" else None,  # of what is mirrored no pose is right
+        wrong=None if misfit.kind in ("mesh", "mirror") else wrong / len(spoilt),  # of those no pose is right
         count=misfit.count,
         back_after=back,
     )
+
+
+def _from_body(image: Pixels, truth: TruthFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(H, W) px that each pixel's centre lies to the right of the body's place, and below it."""
+    height, width = image.shape[:2]
+    across, down = np.arange(width) + 0.5 - truth.position[0], np.arange(height) + 0.5 - truth.position[1]
+    return np.broadcast_to(across, (height, width)), np.broadcast_to(down[:, None], (height, width))
 
 
 def _spoilt(case: Case, first: int, count: int | None, spoil: Callable[[Pixels, TruthFrame], Pixels]) -> Case:

@@ -61,6 +61,7 @@ class Displaced:
     pose: Poses  # (1) as it is expected
     rates: Array  # (1, d)
     was: Mixture | None = None  # what was known of it, its mode alone; None: as versions before did not keep it
+    since_s: float = 0.0  # since the first frame that it does not explain
 
 
 @dataclass(frozen=True)

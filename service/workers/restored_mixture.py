@@ -66,6 +66,8 @@ def _check_displaced(mixture: Mixture, displaced: Displaced, d: int) -> None:
         raise ValueError("what was displaced is not finite, or too large")
     if type(chance) is not float or not 0 <= chance < 1 or abs(np.linalg.norm(pose.quaternion) - 1) > _UNIT:
         raise ValueError("what was displaced has no probability, or no direction")
+    if type(displaced.since_s) is not float or not 0 <= displaced.since_s <= _LARGEST:
+        raise ValueError(f"what was displaced is so since {displaced.since_s!r} s")
     if displaced.was is not None:
         if displaced.was.paint.shape != (1, *mixture.paint.shape[1:]) or displaced.was.displaced is not None:
             raise ValueError("what was displaced is no single mode of this mixture")

@@ -30,8 +30,8 @@ def carried_on(before: Displaced | None, noise: MotionNoise, dt_s: float) -> Dis
         return None
     odds = before.probability / (1 - before.probability) * np.exp(-prior.CHANGES_PER_S * dt_s)
     pose = retract(before.pose, before.rates * dt_s)
-    was = None if before.was is None else moved_on(before.was, noise, dt_s)
-    return Displaced(float(odds / (1 + odds)), pose, before.rates, was)
+    was = None if before.was is None else moved_on(before.was, noise, dt_s, seen=False)
+    return Displaced(float(odds / (1 + odds)), pose, before.rates, was, before.since_s + dt_s)
 
 
 def with_displaced(
@@ -49,7 +49,8 @@ def with_displaced(
     wide = ahead.covariance[last][:d, :d]
     is_back = known is not None and bool(one_answer(leader, known.pose, given.twins, given.domain).any())
     if known is not None and is_back:
-        return with_answer(replace(after, displaced=None), known.probability, given)
+        kept = None if after.existence[existence.FITS] >= 0.5 else known  # what has come between is there still
+        return with_answer(replace(after, displaced=kept), known.probability, given)
     if known is not None and fits_again(before, after):
         right = was_right(known.probability, 1.0, moved(known.pose, wide, leader, after, given))
         known = replace(known, probability=right)

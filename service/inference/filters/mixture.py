@@ -15,29 +15,35 @@ from service.inference.filters.births import MOST_MODES, alike_by, is_another, s
 from service.inference.filters.displaced import carried_on, with_displaced
 from service.inference.filters.effort import explains, is_doubted, part_due, searched_nats
 from service.inference.filters.given import Given, Predicted, Updated
+from service.inference.filters.grounds import followed_on, ground
 from service.inference.filters.pointing import pointed
-from service.inference.filters.returning import as_it_was, is_back, moved_on, waiting, with_displaced_mode
-from service.inference.filters.status import status_of, told_existence
+from service.inference.filters.returning import (
+    as_it_was,
+    gone_by_now,
+    is_back,
+    leading_again,
+    moved_on,
+    waiting,
+    with_displaced_mode,
+    within_reach,
+)
+from service.inference.filters.status import one_answer, status_of, told_existence
 from service.inference.filters.weighing import weigh
 from service.inference.held import believed
 from service.inference.mesh_error import evidence_trust, stated
 from service.inference.model import existence, prior
 from service.inference.model.candidates import Candidates
-from service.inference.model.drawing import Quality
-from service.inference.model.expected import lit_box
-from service.inference.model.nuisance import Nuisance
 from service.inference.model.rivals import Followed, rivals
 from service.inference.model.search import Found, Track, most_parts, search
-from service.inference.model.stages import FINEST, Part, Sight, Stage, stage_hill
+from service.inference.model.stages import FINEST, Part
 from service.inference.motion import MotionNoise, motion_noise
 from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
-from service.inference.numerics.hill import Hill, Refined, Trust
+from service.inference.numerics.hill import Hill, Refined
 from service.inference.numerics.placing import placed
 from service.inference.pose import concatenate
 from service.inference.state import Estimate, FilterState, Mixture
 
-FOLLOWED = Stage(80, 0.7, 8, 2, 0.6, Quality(8, 384), Trust())  # numerical: of four samples thin parts are rough
-_RIM, _SIGHT = 1.2, 1.6  # numerical: of the body's radius that belongs to it; a patch's side over its light's span
+_SIGHT = 1.6  # numerical: a patch's side over its light's span
 _LEAST = 1e-3  # numerical: probability below which a mode is dropped
 
 
@@ -49,7 +55,7 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     expected = None if before is None else predict(before, noise, dt_s)
     ahead = None if expected is None else with_displaced_mode(expected)
     places = (ahead,) if before is None or ahead is None else pointed(ahead, before, given)
-    found, judged = None, returned(before, places[0], noise, given)
+    found, judged = None, returned(before, ahead, noise, given, dt_s)
     if judged is not None:
         places = places[:1]
     else:
@@ -57,9 +63,8 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
         judged = judge(before, places[0], found, noise, given)
     if judged is not None and not explains(judged.after) and len(places) > 1:
         other = judge(before, places[1], found, noise, given)
-        if other is not None and (
-            explains(other.after) or places[1] is ahead
-        ):  # where neither fits it is as it was expected
+        expected_there = places[1] is ahead  # so it is where neither fits
+        if other is not None and (explains(other.after) or expected_there):
             judged = other
     mesh_error = given.domain.prior.mesh_error
     if judged is not None and before is None and found is not None and is_doubted(judged.after, mesh_error):
@@ -82,13 +87,27 @@ class Judged:
     hill: Hill
 
 
-def returned(before: Mixture | None, ahead: Predicted | None, noise: MotionNoise, given: Given) -> Judged | None:
-    """What is left where a displaced answer leads again; None: it does not, and a search may be due."""
-    if before is None or ahead is None or ahead.returning is None:
+def returned(
+    before: Mixture | None, ahead: Predicted | None, noise: MotionNoise, given: Given, dt_s: float
+) -> Judged | None:
+    """What is left where the body is again where it was expected, and fits, after a displacement or an absence.
+
+    None: it is not, and a search may be due.
+    """
+    if before is None or ahead is None:
         return None
-    was = as_it_was(before)
-    judged = judge(was, replace(ahead, existence=existence.expected(was.existence, 0.0)), None, noise, given)
-    return judged if judged is not None and is_back(judged.updated, ahead) else None
+    was, again = before, ahead
+    if ahead.returning is not None and ahead.displaced is not None:
+        was, lead = as_it_was(before), int(np.argmax(ahead.log_weights))
+        leader = ahead.poses[lead : lead + 1]
+        stayed = bool(one_answer(leader, ahead.displaced.pose, given.twins, given.domain).any())
+        again = leading_again(ahead, ahead.returning, was, gone_by_now(ahead.displaced, not stayed, dt_s))
+    elif given.frame.sight is None or before.existence[existence.ABSENT] < 0.5 or not within_reach(ahead):
+        return None
+    judged = judge(was, pointed(again, was, given)[0], None, noise, given)
+    if judged is None or not explains(judged.after):
+        return None
+    return judged if ahead.returning is None or is_back(judged.updated, ahead, given.domain) else None
 
 
 def judge(
@@ -123,7 +142,7 @@ def unsearched(before: Mixture, ahead: Predicted, noise: MotionNoise, given: Giv
 
 def predict(before: Mixture, noise: MotionNoise, dt_s: float) -> Predicted:
     """Every mode carried on by its rates."""
-    modes = moved_on(before, noise, dt_s)
+    modes = moved_on(before, noise, dt_s, seen=bool(before.existence[existence.ABSENT] < 0.5))
     weights = prior.EVIDENCE_KEPT * before.log_weights
     weights = weights - np.logaddexp.reduce(weights)
     here = existence.expected(before.existence, dt_s)
@@ -173,31 +192,6 @@ def beside(
     followed = Followed(track.modes, sight, hill, nuisance)
     met = rivals(given.body, followed, given.bank(), given.told, part, rng, alike_by(given))
     return Found(met, hill, nuisance, part)
-
-
-def ground(
-    before: Mixture | None, ahead: Predicted | None, found: Found | None, given: Given
-) -> tuple[Hill | None, Nuisance]:
-    """What the modes climb on: the search's own patch where there was one, else one around the leader."""
-    if found is not None and (found.basins or found.part.count > 1):
-        return found.hill, found.nuisance
-    if before is None or ahead is None:
-        return None, Nuisance(prior.CORE_PX)
-    _, hill, nuisance = followed_on(before, ahead, given)
-    return hill, nuisance
-
-
-def followed_on(before: Mixture, ahead: Predicted, given: Given) -> tuple[Sight, Hill, Nuisance]:
-    """The light around the leader, what modes climb on there, and under what."""
-    lead = int(np.argmax(ahead.log_weights))
-    core, wings = (float(one) for one in before.point_spread)
-    nuisance = Nuisance(core, wings, before.discrepancy, before.photon, before.hides, before.sharpened, before.mask)
-    reach = given.body.fine.radius * float(np.exp(ahead.poses.log_scale[lead]))
-    there = replace(ahead.poses, position=ahead.poses.position + ahead.aside)
-    sight = given.frame.around(there.position[lead], _RIM * reach, before.span_px, nuisance.core)
-    leader = there[lead : lead + 1], ahead.suns[lead : lead + 1], ahead.paint[lead]
-    sight = sight.over(lambda lens: lit_box(given.body.fine, *leader, lens=lens))
-    return sight, stage_hill(given.body.fine, sight, FOLLOWED, nuisance, given.told, speckle=True), nuisance
 
 
 def update(ahead: Predicted | None, hill: Hill, wrapping: NDArray[np.bool_], far: bool) -> list[Refined]:

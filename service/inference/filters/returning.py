@@ -6,21 +6,30 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.inference.domain import Domain
+from service.inference.filters.births import same_mode
 from service.inference.filters.given import Predicted, Updated
 from service.inference.model import paint, prior
 from service.inference.model.dynamics import predicted, predicted_suns, turn
 from service.inference.motion import MotionNoise
+from service.inference.numerics.hill import Trust
 from service.inference.pose import concatenate, retract
-from service.inference.state import Mixture
+from service.inference.state import Displaced, Mixture
+
+_SHORTEST_S = 1e-9  # numerical: between two frames
 
 
-def moved_on(modes: Mixture, noise: MotionNoise, dt_s: float) -> Mixture:
-    """Every mode carried on by its rates, and what is known of it as far as it lasts."""
+def moved_on(modes: Mixture, noise: MotionNoise, dt_s: float, *, seen: bool) -> Mixture:
+    """Every mode carried on by its rates, and what is known of it as far as it lasts.
+
+    ``seen``: the last frame told of them, and the next one repeats a part of that.
+    """
+    kept = prior.MEMORY_KEPT if seen else 1.0
     return replace(
         modes,
         poses=retract(modes.poses, modes.rates * dt_s),
-        covariance=np.stack([predicted(one, noise, dt_s) for one in modes.covariance]),
-        sun_sigmas=predicted_suns(modes.sun_sigmas, dt_s),
+        covariance=np.stack([predicted(one, noise, dt_s, kept) for one in modes.covariance]),
+        sun_sigmas=predicted_suns(modes.sun_sigmas, dt_s, kept),
         paint=paint.expected(modes.paint, turn(modes.rates, modes.covariance, dt_s)),
     )
 
@@ -81,9 +90,37 @@ def alone(ahead: Predicted, k: int, before: Mixture) -> Mixture:
     )
 
 
-def is_back(updated: Updated, ahead: Predicted | None) -> bool:
-    """Whether the displaced answer's mode leads again."""
-    return ahead is not None and int(np.argmax(updated.log_weights)) == ahead.returning
+def within_reach(ahead: Predicted) -> bool:
+    """Whether a climb from where the leader is expected surely ends where it is: it turned no further than one step."""
+    turn = ahead.covariance[int(np.argmax(ahead.log_weights))][:3, :3]
+    return float(np.linalg.eigvalsh(turn)[-1]) <= Trust().turn ** 2
+
+
+def leading_again(ahead: Predicted, returning: int, was: Mixture, gone: float) -> Predicted:
+    """The modes with the displaced answer's before the others, as it was: a frame is looked at where it should be.
+
+    ``gone``: probability that what has come between is.
+    """
+    weights = ahead.log_weights.copy()
+    weights[returning] = np.delete(weights, returning).max() - np.log(prior.BIRTH)
+    absent, fits, no_fit = was.existence
+    here = np.array([absent, fits * gone, no_fit + fits * (1 - gone)])
+    return replace(ahead, log_weights=weights - np.logaddexp.reduce(weights), existence=here)
+
+
+def gone_by_now(known: Displaced, led_elsewhere: bool, dt_s: float) -> float:
+    """Probability that what has come between is gone: it ends at any time that is a share of how long it has lasted.
+
+    So long that P(T + dt | T) = T / (T + dt): a bird passes in a moment, and a cloud that has lasted a minute stays for
+    more. ``led_elsewhere``: the leader was another, and an answer that fits where it was expected is no chance.
+    """
+    return 1.0 if led_elsewhere else dt_s / max(known.since_s + dt_s, _SHORTEST_S)
+
+
+def is_back(updated: Updated, ahead: Predicted, domain: Domain) -> bool:
+    """Whether the displaced answer's mode leads again, or has met the one that leads."""
+    lead, returning = int(np.argmax(updated.log_weights)), ahead.returning
+    return returning is not None and same_mode(updated.refined[lead], updated.refined[returning], domain)
 
 
 def as_it_was(before: Mixture) -> Mixture:

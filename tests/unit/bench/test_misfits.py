@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from service.bench.misfit_report import misfit_document
-from service.bench.misfits import MisfitRow, clouded, mirrored, wrong_meshes
+from service.bench.misfits import MisfitRow, clouded, crossed, mirrored, trailed, wrong_meshes
 from service.bench.passes import simulated_case
 from service.cli import app
 from service.simulate.folder import write_sequence
@@ -54,6 +54,16 @@ def test_a_cloud_takes_the_light_of_the_brighter_half(case):
     other = halves[0] if bright is halves[1] else halves[1]
     assert after[2][:, bright].sum() < 0.25 * before[2][:, bright].sum()
     assert after[2][:, other].sum() == pytest.approx(before[2][:, other].sum(), rel=0.1)
+
+
+def test_a_bird_hides_the_body_and_a_trail_runs_through_it(case):
+    before, dark, bright = light_of(case), light_of(crossed(case, 2).case), light_of(trailed(case, 2).case)
+    assert np.array_equal(before[1], dark[1]) and np.array_equal(before[1], bright[1])
+    truth = next(islice(case.frames(), 2, None))[1]
+    assert dark[2].sum() < 0.6 * before[2].sum()
+    column, row = (truth.position + np.array([0.6, -0.8]) * 3.0).astype(int)  # on the trail, nearest to the body
+    assert bright[2][row, column] > before[2][row, column] + 0.4 * 255
+    assert np.abs(bright[2] - before[2])[:5, -5:].max() < 2  # far from it all is as it was
 
 
 def test_after_so_many_frames_a_pass_goes_on_as_it_was(case):
