@@ -63,7 +63,8 @@ def with_displaced(
         right = was_right(before.answered, disturbed, moved(answer, wide, leader, after, given))
         if known is not None and one_answer(answer, known.pose, given.twins, given.domain).any():
             here = known  # as it was before frames that it does not fit
-        if known is None or right > known.probability:
+        fitted = here is known or bool(before.existence[existence.FITS] >= 0.5)  # else it is where a frame dragged one
+        if known is None or (fitted and right > known.probability):
             known = replace(here, probability=right)
     return with_answer(replace(after, displaced=known), 0.0, given)
 

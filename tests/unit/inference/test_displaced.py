@@ -160,3 +160,11 @@ def test_a_wrong_answer_that_explained_its_frames_by_its_discrepancy_does_not_ou
     state, estimate = lit.advance(replace(state, mixture=wrong), lit.frame(3), 3)
     assert lit.error_deg(estimate, 3) < 3.0 and state.mixture.discrepancy < 0.02
     assert state.mixture.displaced is None and estimate.status == "tracking"
+
+
+def test_where_a_frame_dragged_it_an_answer_is_not_remembered_instead_of_where_it_was():
+    kept = Displaced(0.9, turned(0.2), np.zeros((1, 6)))
+    for fits, place in ((0.003, turned(0.2)), (0.9, HELD)):  # what explained its last frame is an answer of its own
+        before = replace(mixture(existence=(0.0, fits, 1 - fits), ever=True), answered=0.998, displaced=kept)
+        after = leads(turned(2.0), before, disturbed=1.0, displaced=kept, fits=0.1)
+        assert after.displaced.pose.quaternion == pytest.approx(place.quaternion)
