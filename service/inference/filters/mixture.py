@@ -54,22 +54,7 @@ def step(rng: np.random.Generator, state: FilterState | None, given: Given) -> t
     dt_s = 0.0 if state is None else max(given.time_s - state.time_s, 0.0)
     expected = None if before is None else predict(before, noise, dt_s)
     ahead = None if expected is None else with_displaced_mode(expected)
-    places = (ahead,) if before is None or ahead is None else pointed(ahead, before, given)
-    found, judged = None, returned(before, ahead, noise, given, dt_s)
-    if judged is not None:
-        places = places[:1]
-    else:
-        found = propose(rng, before, places[0], given)
-        judged = judge(before, places[0], found, noise, given)
-    if judged is not None and not explains(judged.after) and len(places) > 1:
-        other = judge(before, places[1], found, noise, given)
-        expected_there = places[1] is ahead  # so it is where neither fits
-        if other is not None and (explains(other.after) or expected_there):
-            judged = other
-    mesh_error = given.domain.prior.mesh_error
-    if judged is not None and before is None and found is not None and is_doubted(judged.after, mesh_error):
-        once_more = looked(rng, Track(found.candidates, doubted=True), given, shake=True)
-        judged = judge(before, ahead, once_more, noise, given) or judged
+    judged = returned(before, ahead, noise, given, dt_s) or searched(rng, before, ahead, noise, given)
     if judged is None:
         return unseen(rng, given.domain, given.config.filter.particles, given.index, given.time_s)
     updated, after, hill = judged.updated, judged.after, judged.hill
@@ -108,6 +93,25 @@ def returned(
     if judged is None or not explains(judged.after):
         return None
     return judged if ahead.returning is None or is_back(judged.updated, ahead, given.domain) else None
+
+
+def searched(
+    rng: np.random.Generator, before: Mixture | None, ahead: Predicted | None, noise: MotionNoise, given: Given
+) -> Judged | None:
+    """What is left of the modes, where they are expected or where the frame shows their light, and of a search."""
+    places = (ahead,) if before is None or ahead is None else pointed(ahead, before, given)
+    found = propose(rng, before, places[0], given)
+    judged = judge(before, places[0], found, noise, given)
+    if judged is not None and not explains(judged.after) and len(places) > 1:
+        other = judge(before, places[1], found, noise, given)
+        if other is not None and (explains(other.after) or places[1] is ahead):  # as expected, where neither fits
+            judged = other
+    if judged is None or before is not None or found is None:
+        return judged
+    if not is_doubted(judged.after, given.domain.prior.mesh_error):
+        return judged
+    once_more = looked(rng, Track(found.candidates, doubted=True), given, shake=True)
+    return judge(before, ahead, once_more, noise, given) or judged
 
 
 def judge(

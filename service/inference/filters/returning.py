@@ -24,12 +24,11 @@ def moved_on(modes: Mixture, noise: MotionNoise, dt_s: float, *, seen: bool) -> 
 
     ``seen``: the last frame told of them, and the next one repeats a part of that.
     """
-    kept = prior.MEMORY_KEPT if seen else 1.0
     return replace(
         modes,
         poses=retract(modes.poses, modes.rates * dt_s),
-        covariance=np.stack([predicted(one, noise, dt_s, kept) for one in modes.covariance]),
-        sun_sigmas=predicted_suns(modes.sun_sigmas, dt_s, kept),
+        covariance=np.stack([predicted(one, noise, dt_s, seen=seen) for one in modes.covariance]),
+        sun_sigmas=predicted_suns(modes.sun_sigmas, dt_s, seen=seen),
         paint=paint.expected(modes.paint, turn(modes.rates, modes.covariance, dt_s)),
     )
 

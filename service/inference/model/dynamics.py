@@ -9,22 +9,26 @@ from service.inference.motion import MotionNoise
 from service.inference.state import Array
 
 
-def predicted(covariance: Array, noise: MotionNoise, dt_s: float, kept: float = prior.MEMORY_KEPT) -> Array:
+def predicted(covariance: Array, noise: MotionNoise, dt_s: float, *, seen: bool = True) -> Array:
     """(2d, 2d) of pose and rates after ``dt_s``, from (2d, 2d).
 
     A frame repeats part of what the ones before said, since the body's drawing is wrong in the same places: what is
     remembered fades (a fading-memory Kalman filter), so that a spread never falls far below that of one frame.
-    ``kept``: of what is remembered; 1 where the last frame told nothing that the next could repeat.
+    ``seen``: the last frame told of it; where it did not, the next one repeats nothing of it.
     """
     d = len(covariance) // 2
     onward = np.eye(2 * d)
     onward[:d, d:] = dt_s * np.eye(d)
-    out = onward @ covariance @ onward.T / kept
+    out = onward @ covariance @ onward.T / _kept(seen)
     out[range(d), range(d)] += noise.jitter * dt_s + noise.change * dt_s**3 / 3
     out[range(d, 2 * d), range(d, 2 * d)] += noise.change * dt_s
     out[range(d), range(d, 2 * d)] += noise.change * dt_s**2 / 2
     out[range(d, 2 * d), range(d)] += noise.change * dt_s**2 / 2
     return np.asarray(0.5 * (out + out.T))
+
+
+def _kept(seen: bool) -> float:
+    return prior.MEMORY_KEPT if seen else 1.0
 
 
 def corrected(rates: Array, before: Array, shift: Array, pose_covariance: Array) -> tuple[Array, Array]:
@@ -48,9 +52,9 @@ def new_born(pose_covariance: Array, noise: MotionNoise) -> Array:
     return out
 
 
-def predicted_suns(sigmas: Array, dt_s: float, kept: float = prior.MEMORY_KEPT) -> Array:
+def predicted_suns(sigmas: Array, dt_s: float, *, seen: bool = True) -> Array:
     """(K,) of the Suns that go with modes, after ``dt_s``: what is remembered of them fades as poses do."""
-    return np.asarray(np.sqrt(sigmas**2 / kept + prior.SUN_DRIFT**2 * dt_s))
+    return np.asarray(np.sqrt(sigmas**2 / _kept(seen) + prior.SUN_DRIFT**2 * dt_s))
 
 
 def turn(rates: Array, covariance: Array, dt_s: float) -> Array:

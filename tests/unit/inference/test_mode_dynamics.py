@@ -43,6 +43,7 @@ def test_what_is_remembered_fades(noise):
     still = MotionNoise(noise.variance, np.zeros(D), np.zeros(D))
     before = spread(2, 2 * D)
     assert predicted(before, still, 0.0) == pytest.approx(before / prior.MEMORY_KEPT)
+    assert predicted(before, still, 0.0, seen=False) == pytest.approx(before)  # the next frame repeats nothing
 
 
 def test_a_correction_is_the_kalman_filters():
