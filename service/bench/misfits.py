@@ -109,7 +109,7 @@ def crossed(case: Case, from_frame: int, count: int | None = None) -> Misfit:
         across, down = _from_body(image, truth)
         radius = case.model.mesh.radius * truth.scale
         there = np.hypot(across - _BIRD_AT[0] * radius, down - _BIRD_AT[1] * radius) < _BIRD * radius
-        return np.where(there.reshape(*there.shape, *[1] * (image.ndim - 2)), counts(sky, image), image)
+        return np.where(there, counts(sky, image), image)
 
     return Misfit("bird", _spoilt(case, from_frame, count, cover), from_frame, count)
 
@@ -121,7 +121,7 @@ def trailed(case: Case, from_frame: int, count: int | None = None) -> Misfit:
         across, down = _from_body(image, truth)
         off = _TRAIL_ACROSS * across + _TRAIL_DOWN * down - _TRAIL_AT_PX
         light = _TRAIL * np.iinfo(image.dtype).max * np.exp(-0.5 * (off / _TRAIL_PX) ** 2)
-        return counts(image + light.reshape(*light.shape, *[1] * (image.ndim - 2)), image)
+        return counts(image + light, image)
 
     return Misfit("trail", _spoilt(case, from_frame, count, add), from_frame, count)
 
@@ -163,10 +163,12 @@ def run_misfit(tracker: Tracker, misfit: Misfit, entry: Entry, terms: Terms) -> 
 
 
 def _from_body(image: Pixels, truth: TruthFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(H, W) px that each pixel's centre lies to the right of the body's place, and below it."""
-    height, width = image.shape[:2]
+    """Px that each pixel's centre lies to the right of the body's place, and below it: (1, W), (H, 1), and as many
+    axes as the image has.
+    """
+    channels, (height, width) = [1] * (image.ndim - 2), image.shape[:2]
     across, down = np.arange(width) + 0.5 - truth.position[0], np.arange(height) + 0.5 - truth.position[1]
-    return np.broadcast_to(across, (height, width)), np.broadcast_to(down[:, None], (height, width))
+    return across.reshape(1, -1, *channels), down.reshape(-1, 1, *channels)
 
 
 def _spoilt(case: Case, first: int, count: int | None, spoil: Callable[[Pixels, TruthFrame], Pixels]) -> Case:

@@ -10,7 +10,9 @@ import typer
 
 def misfits(
     folder: Annotated[Path, typer.Argument(help="Folder of sequences.")],
-    kind: Annotated[list[str] | None, typer.Option(help="mesh, mirror, cloud, bird, trail; may be repeated.")] = None,
+    kind: Annotated[
+        list[str] | None, typer.Option(help="mesh, mirror, cloud, bird, trail; may be repeated. Default: all.")
+    ] = None,
     case: Annotated[list[str] | None, typer.Option("--case", help="Only this sequence; may be repeated.")] = None,
     limit: Annotated[int | None, typer.Option(min=2, help="Only so many frames of each pass.")] = None,
     spoilt: Annotated[

@@ -108,10 +108,11 @@ def leading_again(ahead: Predicted, returning: int, was: Mixture, gone: float) -
 
 
 def gone_by_now(known: Displaced, led_elsewhere: bool, dt_s: float) -> float:
-    """Probability that what has come between is gone: it ends at any time that is a share of how long it has lasted.
+    """Probability that what has come between is gone.
 
-    So long that P(T + dt | T) = T / (T + dt): a bird passes in a moment, and a cloud that has lasted a minute stays for
-    more. ``led_elsewhere``: the leader was another, and an answer that fits where it was expected is no chance.
+    How long it lasts has no scale: it outlasts T + dt, if it has lasted T, with probability T / (T + dt). A bird passes
+    in a moment, and a cloud of a minute stays for more. ``led_elsewhere``: the leader was another, and an answer that
+    fits where it was expected is no chance.
     """
     return 1.0 if led_elsewhere else dt_s / max(known.since_s + dt_s, _SHORTEST_S)
 
@@ -123,10 +124,7 @@ def is_back(updated: Updated, ahead: Predicted, domain: Domain) -> bool:
 
 
 def as_it_was(before: Mixture) -> Mixture:
-    """With the air, the light, the discrepancy and the searches of the displaced answer, not of what displaced it.
-
-    And as likely there: that a pose which leads is the one that was expected is no chance.
-    """
+    """With the air, the light, the discrepancy and the searches of the displaced answer, not of what displaced it."""
     known = before.displaced
     if known is None or known.was is None:
         return before
