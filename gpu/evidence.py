@@ -13,6 +13,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from gpu.cut import Cut, cut_of
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.evidence_groups import Asked, EvidenceGroups
 from gpu.evidence_terms import LANES, HostInputs, Terms, inputs_of
@@ -93,13 +94,14 @@ class LightEvidence:
 
     def evidence(
         self,
-        planes: Numbers,
+        planes: Numbers | Cut,
         n_groups: int,
         terms: Terms | Sequence[Terms],
         rounds: int,
         which: Sequence[int] | None = None,
     ) -> Answers:
         """``planes`` (N, Q, S, S): groups, coverage, normals (3), gloss of groups; all are dark where none is covered.
+        Of an array (N, Q, rows, columns) the patch's first rows and columns, beyond which all are dark.
 
         ``terms``: of all poses, or of each its own, which may differ in priors, point spread, discrepancy and
         photons. Each is of the planes that ``which`` says, in order where nothing is said.
@@ -108,10 +110,12 @@ class LightEvidence:
         return _answers(*self._run(planes, n_groups, several, rounds, (), which))
 
     def details(
-        self, planes: Numbers, n_groups: int, terms: Terms, rounds: int, which: Sequence[int] | None = None
+        self, planes: Numbers | Cut, n_groups: int, terms: Terms, rounds: int, which: Sequence[int] | None = None
     ) -> tuple[Answers, list[Details]]:
         """The same, and what each pose's curvature is made of."""
-        _, n_planes, side, _ = planes.shape
+        side = len(terms.data)
+        planes = cut_of(planes, side)
+        n_planes = planes.values.shape[1]
         unknowns, pixels = self._unknowns(n_planes, terms), side * side
         size = LANES + (4 + unknowns) * pixels + unknowns * (unknowns + 4)
         *answers, out = self._run(planes, n_groups, [terms], rounds, (size,), which)
@@ -132,7 +136,7 @@ class LightEvidence:
 
     def _run(
         self,
-        planes: Numbers,
+        planes: Numbers | Cut,
         n_groups: int,
         several: Sequence[Terms],
         rounds: int,
@@ -140,37 +144,37 @@ class LightEvidence:
         which: Sequence[int] | None = None,
     ) -> list[Numbers]:
         """What answers are made of, and with ``details`` as many numbers more of each pose."""
-        _, n_planes, side, _ = planes.shape
         numbers, terms = range(len(planes)) if which is None else which, several[0]
-        n = len(numbers)
+        n, side = len(numbers), len(terms.data)
+        cut = cut_of(planes, side)
+        n_planes = cut.values.shape[1]
         if side % LANES:
             raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
         unknowns = self._unknowns(n_planes, terms)
         host = inputs_of(several, numbers)
         shapes = [(n, count) for count in (4, n_planes, unknowns, *details)]
         asked = Asked(n_groups, n_planes, side, unknowns, terms.speckle, terms.shifts, rounds)
-        held = np.ascontiguousarray(planes, np.float32)
         with device_errors(self.name):
             if n and self._groups is None:
-                return self._by_items(held, host, asked, shapes)
+                return self._by_items(cut, host, asked, shapes)
             told = [np.empty(shape, np.float32) for shape in shapes]
             if n and self._groups is not None:
+                held = np.ascontiguousarray(cut.whole(), np.float32)
                 self.kernel_seconds = self._groups.weigh(held, host, asked, told[:3], told[3] if details else None)
         return told
 
-    def _by_items(
-        self, held: Numbers, host: HostInputs, asked: Asked, shapes: Sequence[tuple[int, int]]
-    ) -> list[Numbers]:
+    def _by_items(self, cut: Cut, host: HostInputs, asked: Asked, shapes: Sequence[tuple[int, int]]) -> list[Numbers]:
         """What is told, of these shapes: a work-item takes pose after pose."""
         n, length = shapes[0][0], asked.side + 2 * _lanes(host.radius)
         each = _room(asked.unknowns, asked.n_planes, asked.side, length)
         items = work_items(self._queue.device, n, 4 * each)
-        given = lent(self._context, held)
+        given, window = lent(self._context, np.ascontiguousarray(cut.values, np.float32)), cut.window
         arrays = [np.ascontiguousarray(one) for one in host.arrays]
         inputs: list[KernelArgument] = [(lent if one.size else constant)(self._context, one) for one in arrays]
         inputs.insert(3, np.int32(host.every))
         inputs.insert(5, np.int32(host.started))
-        numbers = (asked.n_groups, asked.side, asked.n_planes, asked.speckle, asked.shifts, asked.rounds)
+        sizes = (asked.n_groups, asked.side, asked.n_planes, asked.speckle, asked.shifts, asked.rounds)
+        numbers = (*sizes, window.top, window.left, window.rows, window.columns)
         told = landings(self._context, shapes)
         results = [one.argument for one in told] + [None] * (4 - len(told))
         head: tuple[KernelArgument, ...] = (

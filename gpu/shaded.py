@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gpu.cut import Cut, Window, window_around
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.lens import NO_LENS, Lens
 from gpu.mesh import Mesh
@@ -93,9 +94,24 @@ class ShadedBody:
         a lobe's that of (n . h)^k, h half-way between the Sun and the camera. Normals (3): the mean of n, whatever is
         seen.
         """
-        given = self._given(part_transforms, towards_sun)
         sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens, around)
-        return self._draw(given, sizes, None, self.n_groups * (1 + len(gloss)) + EVEN_PLANES)
+        return self._planes(part_transforms, towards_sun, sizes).whole()
+
+    def cut(
+        self,
+        part_transforms: NDArray[np.floating],
+        towards_sun: NDArray[np.floating],
+        *,
+        side: int,
+        supersample: int,
+        shadow_px: int,
+        gloss: tuple[float, ...] = (),
+        lens: Lens = NO_LENS,
+        around: Around = DARK,
+    ) -> Cut:
+        """``planes``, of which what lies about the bodies may be left out."""
+        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens, around)
+        return self._planes(part_transforms, towards_sun, sizes)
 
     def combined(
         self,
@@ -161,23 +177,38 @@ class ShadedBody:
             moved = np.where(finite[:, None, None, None], moved, np.float32(0.0))
         return moved, suns.astype(np.float32)
 
+    def _planes(self, part_transforms: NDArray[np.floating], towards_sun: NDArray[np.floating], sizes: Sizes) -> Cut:
+        given, count = self._given(part_transforms, towards_sun), self.n_groups * (1 + len(sizes.gloss)) + EVEN_PLANES
+        seen = len(given[0]) and sizes.lens == NO_LENS
+        return self._draw(
+            given, sizes, window_around(given[0], self._table.boxes, sizes.side) if seen else None, None, count
+        )
+
     def _sum(
         self, given: tuple[Numbers, Numbers], coefficients: NDArray[np.floating], pictures: int, sizes: Sizes
     ) -> Numbers:
         count, n = self.n_groups * (1 + len(sizes.gloss)) + EVEN_PLANES, len(given[0])
         if coefficients.shape not in ((count,), (n, count)):
             raise ValueError(f"coefficients are {coefficients.shape}, not ({count},) or ({n}, {count})")
-        return self._draw(given, sizes, np.ascontiguousarray(coefficients, np.float32), pictures)
+        return self._draw(given, sizes, None, np.ascontiguousarray(coefficients, np.float32), pictures).values
 
-    def _draw(self, given: tuple[Numbers, Numbers], sizes: Sizes, share: Numbers | None, count: int) -> Numbers:
+    def _draw(
+        self,
+        given: tuple[Numbers, Numbers],
+        sizes: Sizes,
+        window: Window | None,
+        share: Numbers | None,
+        count: int,
+    ) -> Cut:
         if min(sizes.side, sizes.supersample) < 1 or sizes.shadow_px < 0:
             raise ValueError(
                 f"{sizes.side} px, {sizes.supersample} samples and {sizes.shadow_px} texels cannot be drawn"
             )
         if not len(given[0]):
-            return np.empty((0, count, sizes.side, sizes.side), np.float32)
+            return Cut(np.empty((0, count, sizes.side, sizes.side), np.float32), 0, 0, sizes.side)
+        whole = Window(0, 0, sizes.side, sizes.side)
         with device_errors(self.name):
-            return self._form.draw(self._shown, given, sizes, share, count)
+            return self._form.draw(self._shown, given, sizes, window or whole, share, count)
 
 
 def open_shaded(

@@ -10,6 +10,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from gpu.budget import group_count
+from gpu.cut import Cut, Window
 from gpu.lens import NEAREST, NO_LENS, Lens, magnified
 from gpu.program import (
     Kernel,
@@ -83,10 +84,14 @@ class Form(Protocol):
         faces: FacesOnDevice,
         given: tuple[Numbers, Numbers],
         sizes: Sizes,
+        window: Window,
         share: Numbers | None,
         count: int,
-    ) -> Numbers:
-        """(N, count, side, side): every plane, or with ``share`` (Q',) or (N, Q') their sums."""
+    ) -> Cut:
+        """(N, count, side, side): every plane, or with ``share`` (Q',) or (N, Q') their sums.
+
+        ``window``: beyond which planes may be left out.
+        """
         ...
 
     def seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes) -> NDArray[np.uint8]:
@@ -131,19 +136,22 @@ class ItemForm:
         faces: FacesOnDevice,
         given: tuple[Numbers, Numbers],
         sizes: Sizes,
+        window: Window,
         share: Numbers | None,
         count: int,
-    ) -> Numbers:
+    ) -> Cut:
         """See ``Form``."""
         exponents = constant(self.context, np.asarray(sizes.gloss, np.float32))
-        result = landing(self.context, (len(given[0]), count, sizes.side, sizes.side), zeros=True)
         if share is None:
-            self._launch(self._planes, faces, given, sizes, (exponents,), result, ())
-        else:
-            every = share.shape[1] if share.ndim == 2 else 0
-            more = (constant(self.context, share), np.int32(every), np.int32(count))
-            self._launch(self._combined, faces, given, sizes, (exponents,), result, more)
-        return result.values
+            result = landing(self.context, (len(given[0]), count, window.rows, window.columns), zeros=True)
+            numbers = (np.int32(v) for v in (window.top, window.left, window.rows, window.columns))
+            self._launch(self._planes, faces, given, sizes, (exponents,), result, tuple(numbers))
+            return Cut(result.values, window.top, window.left, sizes.side)
+        result = landing(self.context, (len(given[0]), count, sizes.side, sizes.side), zeros=True)
+        every = share.shape[1] if share.ndim == 2 else 0
+        more = (constant(self.context, share), np.int32(every), np.int32(count))
+        self._launch(self._combined, faces, given, sizes, (exponents,), result, more)
+        return Cut(result.values, 0, 0, sizes.side)
 
     def seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes) -> NDArray[np.uint8]:
         """See ``Form``."""
@@ -207,10 +215,11 @@ class GroupForm:
         faces: FacesOnDevice,
         given: tuple[Numbers, Numbers],
         sizes: Sizes,
+        window: Window,
         share: Numbers | None,
         count: int,
-    ) -> Numbers:
-        """See ``Form``."""
+    ) -> Cut:
+        """See ``Form``; nothing is left out."""
         self.kernel_seconds = 0.0
         out = np.empty((len(given[0]), count, sizes.side, sizes.side), np.float32)
         most = min(LARGEST_RESULT, self._queue.device.max_mem_alloc_size)
@@ -224,7 +233,7 @@ class GroupForm:
             drawn = self._launch(faces, (given[0][few], given[1][few]), sizes, result, weights)
             cl.enqueue_copy(self._queue, out[few], result)
             self.kernel_seconds += 1e-9 * (drawn.profile.end - drawn.profile.start)
-        return out
+        return Cut(out, 0, 0, sizes.side)
 
     def seen(self, faces: FacesOnDevice, views: Numbers, sizes: Sizes) -> NDArray[np.uint8]:
         """See ``Form``."""

@@ -286,11 +286,11 @@ static bool step(const Scene s, const Room r, const int lit, const int count, co
 
 // A plane as the camera leaves it, zero where else `around` is.
 static void draw_blurred(const Scene s, const Room r, __global const float *plane, const Box box, const Box around,
-    __global const float *weights, __global const int *radii, __global const float *taps, __global float *out)
+    const int apart, __global const float *weights, __global const int *radii, __global const float *taps, __global float *out)
 {
     clear(out, around, s.side);
     for (int c = 0; c < s.components; ++c) {
-        sweep(plane, box, s.side, weights[c], taps, taps, radii[c], r.between, s.length, out);
+        sweep(plane, apart, box, s.side, weights[c], taps, taps, radii[c], r.between, s.length, out);
         taps += 2 * radii[c] + 1;
     }
 }
@@ -330,16 +330,18 @@ static void prepare(const Scene s, const Room r, __global const float *slopes)
 
 // The pictures of the unknowns, their priors and first values: `start`, or where there is none the prior's and the
 // gain that fits best with it. How many positives are lit.
-static int begin(const Scene s, const Room r, __global const float *planes, __global const float *offset,
-    const Facets f, __global const float *start, __global const float *data, __global const float *weights,
+static int begin(const Scene s, const Room r, __global const float *planes, const Box cut,
+    __global const float *offset, const Facets f, __global const float *start, __global const float *data, __global const float *weights,
     __global const int *radii, __global const float *taps, const int groups, Box *body)
 {
     const Box all = {0, s.side, 0, s.side};
     const int tall = tile_rows(s.first);
     int radius = 0, lit = 0;
     for (int c = 0; c < s.components; ++c) radius = max(radius, radii[c]);
-    __global const float *covered = planes + groups * s.pixels;
-    const Box cover = box_of(covered, all, s.side, 0.0f);
+    const int apart = cut.right - cut.left, each = (cut.bottom - cut.top) * apart;
+    planes -= cut.top * apart + cut.left;  // so that places are those of the patch
+    __global const float *covered = planes + groups * each;
+    const Box cover = box_of(covered, cut, apart, 0.0f);
     *body = cover;
     if (cover.top < cover.bottom) *body = in_units(widened(cover, radius + (s.speckle ? 4 : 1), s.side), s.side);
     for (int slot = EVEN; slot < s.first; ++slot) {
@@ -349,17 +351,17 @@ static int begin(const Scene s, const Room r, __global const float *planes, __gl
                 = body->left <= column && column < body->right ? units_of(s.side, body->top, body->bottom) : 0;
     }
     for (int k = 0; k < EVEN_PLANES; ++k)
-        draw_blurred(s, r, covered + k * s.pixels, cover, *body, weights, radii, taps, picture_in(s, r, EVEN + k));
+        draw_blurred(s, r, covered + k * each, cover, *body, apart, weights, radii, taps, picture_in(s, r, EVEN + k));
     for (int p = 0; p < s.positives; ++p) {
-        __global const float *plane = planes + (p < groups ? p : p + EVEN_PLANES) * s.pixels;
-        const Box box = box_of(plane, cover, s.side, LEAST_LIT);
+        __global const float *plane = planes + (p < groups ? p : p + EVEN_PLANES) * each;
+        const Box box = box_of(plane, cover, apart, LEAST_LIT);
         if (box.top >= box.bottom) continue;
         const int slot = s.first + lit;
         const Box wide = widened(box, radius, s.side);
         Box tiles = in_units(common(wide, *body), s.side);  // which reach it are read whole
         tiles.top = max(tiles.top - tall, body->top);
         tiles.bottom = min(tiles.bottom + tall, body->bottom);
-        draw_blurred(s, r, plane, box, tiles, weights, radii, taps, picture_in(s, r, slot));
+        draw_blurred(s, r, plane, box, tiles, apart, weights, radii, taps, picture_in(s, r, slot));
         if (most_in(picture_in(s, r, slot), wide, s.side) <= LEAST_LIT) continue;
         r.box[slot] = wide;
         note_reach(s, r, slot, wide);
@@ -512,8 +514,8 @@ __kernel void evidence(
     __global const int *pieces, __global const float *ties, __global const float *data, __global const uchar *marks,
     __global const float *slopes, __global const float *bumps, __global const float *weights, __global const int *radii,
     __global const float *taps, __global const int *stars, const int groups, const int side, const int n_planes,
-    const int speckle, const int shifts, const int rounds, const int length, const int n_stars,
-    const float sigma2, const float area, const float edge2, const float gain, const float star,
+    const int speckle, const int shifts, const int rounds, const int top, const int left, const int rows,
+    const int columns, const int length, const int n_stars, const float sigma2, const float area, const float edge2, const float gain, const float star,
     __global const int *spreads, __global const float *own, __global float *out,
     __global float *coefficients, __global float *values, __global float *details, __global float *memory,
     const ulong each, volatile __global int *next)
@@ -524,6 +526,7 @@ __kernel void evidence(
         0, SPECKLE + more, length, n_stars, sigma2, 0.0f, 0.0f, area, 0.0f, edge2, 0.0f, gain, star};
     const Room r = room_in(memory + get_global_id(0) * each, s);
     prepare(s, r, slopes);
+    const Box cut = {top, top + rows, left, left + columns};
     __global const float *behind = slopes + 3 * pixels;  // light of the sky at a place, over its level
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
         __global const int *spread = spreads + 4 * pose;
@@ -535,7 +538,7 @@ __kernel void evidence(
         Box body;
         const Facets f = facets_of(positives, pieces, ties, given_mean + (size_t)pose * every,
             given_precision + (size_t)pose * every);
-        const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * pixels, offset, f,
+        const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * rows * columns, cut, offset, f,
             started ? given_start + (size_t)pose * s.unknowns : 0, data, weights + spread[0], radii + spread[0],
             taps + spread[2], groups, &body);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;

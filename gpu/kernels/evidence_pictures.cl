@@ -85,9 +85,9 @@ static float dot_in(__global const float *a, __global const float *b, const Box 
     return sum_of(sum);
 }
 
-// Adds weight * (picture swept by 2 radius + 1 taps along each axis) to `out`. `between` has `side` rows of `length`
+// Adds weight * (picture, of rows `apart`, swept by 2 radius + 1 taps along each axis) to `out`. `between` has `side` rows of `length`
 // numbers: the picture swept downwards, with room on both sides for what the sweep across reads beyond it.
-static void sweep(__global const float *picture, const Box box, const int side, const float weight,
+static void sweep(__global const float *picture, const int apart, const Box box, const int side, const float weight,
     __global const float *down, __global const float *taps, const int radius, __global float *between,
     const int length, __global float *out)
 {
@@ -100,7 +100,7 @@ static void sweep(__global const float *picture, const Box box, const int side, 
         for (int k = box.left; k < box.right; k += LANES) {
             floats sum = 0.0f;
             for (int r = first; r <= last; ++r)
-                sum = fma((floats)down[r - row + radius], floats_at(picture + r * side + k), sum);
+                sum = fma((floats)down[r - row + radius], floats_at(picture + r * apart + k), sum);
             put(line + k, weight * sum);
         }
         for (int k = box.right; k < wide.right + margin; k += LANES) put(line + k, 0.0f);

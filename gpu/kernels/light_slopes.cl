@@ -32,7 +32,7 @@ static void add_blurred(const Blur b, __global const float *picture, const Box b
 {
     int at = 0;
     for (int c = 0; c < b.components; at += 2 * b.radii[c] + 1, ++c)
-        sweep(picture, box, b.side, by * b.weights[c], (down ? b.slope : b.smooth) + at,
+        sweep(picture, b.side, box, b.side, by * b.weights[c], (down ? b.slope : b.smooth) + at,
             (across ? b.slope : b.smooth) + at, b.radii[c], b.between, b.length, out);
 }
 

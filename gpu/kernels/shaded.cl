@@ -18,12 +18,15 @@ static Room room_in(__global float *memory, const Body body, const Sizes sizes)
     return room;
 }
 
-// Adds up `supersample` samples for each pixel of a row, with what a sample counts.
-static void give_row(const Sizes sizes, __global const float *sums, __global float *to, const float share)
+// The part of a patch that is kept of its pictures. In samples its columns are whole lanes.
+typedef struct { int top, left, rows, columns; } Cut;
+
+// Adds up `supersample` samples for each pixel of a row, with what a sample counts. `to` is the row of the cut.
+static void give_row(const Sizes sizes, const Cut cut, __global const float *sums, __global float *to, const float share)
 {
-    for (int j = 0; j < sizes.side; ++j) {
+    for (int j = 0; j < cut.columns; ++j) {
         float sum = 0.0f;
-        for (int k = 0; k < sizes.supersample; ++k) sum += sums[j * sizes.supersample + k];
+        for (int k = 0; k < sizes.supersample; ++k) sum += sums[(cut.left + j) * sizes.supersample + k];
         to[j] = share * sum;
     }
 }
@@ -80,11 +83,11 @@ static void draw_from_camera(const Body body, const Sizes sizes, const Room room
 }
 
 // Adds sixteen samples to the planes of their groups and to their groups' lobes of gloss; neighbours of one group and
-// pixel at once. `pixel` is the first plane's row.
+// pixel at once. `pixel` is the first plane's row, `pixels` are from one plane to the next.
 static void add_to_planes(const Body body, const Sizes sizes, const Room room, const int column, const ints face,
-    const floats shown, const floats shone, const floats lit, __global float *pixel)
+    const floats shown, const floats shone, const floats lit, __global float *pixel, const int pixels)
 {
-    const int pixels = sizes.side * sizes.side, count = min(LANES, sizes.fine - column);
+    const int count = min(LANES, sizes.fine - column);
     int number[LANES];
     float bright[LANES], direct[LANES], reach[LANES];
     vstore16(face, 0, number);
@@ -112,11 +115,11 @@ static void add_to_planes(const Body body, const Sizes sizes, const Room room, c
         }
 }
 
-// One pose, into zeros. With `share`, the weights of the planes: their sum into the first picture, and into a second,
+// One pose's cut, into zeros. With `share`, the weights of the planes: their sum into the first picture, and into a second,
 // where there are two, the coverage. Without: every plane.
-static void draw_pose(const Body body, const Sizes sizes, const Room room, __global const float *transforms,
-    const float3 sun, __global const float *exponents, __global const float *share, const int pictures,
-    __global float *out)
+static void draw_pose(const Body body, const Sizes sizes, const Cut cut, const Room room,
+    __global const float *transforms, const float3 sun, __global const float *exponents, __global const float *share,
+    const int pictures, __global float *out)
 {
     const Window w = window_of(body, sizes, transforms);
     if (w.left >= w.right || w.top >= w.bottom) return;
@@ -124,17 +127,19 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
     const Light light = light_of(body, sizes, transforms, sun, &map_rows);
     draw_from_camera(body, sizes, room, w, transforms, &light, exponents, share);
     if (light.shadows) draw_from_sun(body, sizes, room, light, transforms, map_rows);
-    const int pixels = sizes.side * sizes.side, step = sizes.supersample;
+    const int pixels = cut.rows * cut.columns, step = sizes.supersample;
+    const int left = max(w.left, cut.left * step), right = min(w.right, (cut.left + cut.columns) * step);
     const float each = 1.0f / (float)(step * step), per_step = w.steps > 0.0f ? 1.0f / w.steps : 0.0f;
     __global float *sums = room.row, *covered = room.row + sizes.stride;
     const int means = share ? (pictures > 1 ? 1 : 0) : EVEN_PLANES;  // of the coverage, and of normals
     __global float *coverage = out + (share ? 1 : sizes.n_groups) * pixels;
-    for (int i = w.top / step; i < w.bottom / step; ++i) {
+    for (int i = max(w.top / step, cut.top); i < min(w.bottom / step, cut.top + cut.rows); ++i) {
+        const int from = (i - cut.top) * cut.columns;
         clear(sums, sizes.stride);
         clear(covered, means * sizes.stride);
         bool some = false;
         for (int row = i * step; row < (i + 1) * step; ++row)
-            for (int column = w.left; column < w.right; column += LANES) {
+            for (int column = left; column < right; column += LANES) {
                 const ints key = ints_at(room.keys + row * sizes.stride + column), hit = key != EMPTY;
                 if (!any_of(hit)) continue;
                 some = true;
@@ -155,12 +160,12 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
                 else {
                     const floats around = hit ? from_around(sizes, mean[1], mean[2], mean[3]) : 0.0f;
                     add_to_planes(body, sizes, room, column, hit ? face : -1, (full * lit + around) * each,
-                        full * lit * each, lit * each, out + i * sizes.side);
+                        full * lit * each, lit * each, out + from - cut.left, pixels);
                 }
             }
-        if (some && share) give_row(sizes, sums, out + i * sizes.side, each);
+        if (some && share) give_row(sizes, cut, sums, out + from, each);
         for (int k = 0; some && k < means; ++k)
-            give_row(sizes, covered + k * sizes.stride, coverage + k * pixels + i * sizes.side, each);
+            give_row(sizes, cut, covered + k * sizes.stride, coverage + k * pixels + from, each);
     }
 }
 
@@ -176,18 +181,19 @@ static void draw_pose(const Body body, const Sizes sizes, const Room room, __glo
     {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_gloss, lens, \
         middle_x, middle_y, {around_x, around_y, around_z, around}}
 
-// out (N, groups + EVEN_PLANES + groups * gloss, side, side)
+// out (N, groups + EVEN_PLANES + groups * gloss, rows, columns)
 __kernel void planes(
     __global const float *transforms, __global const float *suns, const int poses, BODY_GIVEN, SIZES_GIVEN,
     __global const float *exponents, __global float *out, __global float *memory, const int each,
-    volatile __global int *next)
+    volatile __global int *next, const int top, const int left, const int rows, const int columns)
 {
     const Body body = BODY;
     const Sizes sizes = SIZES;
+    const Cut cut = {top, left, rows, columns};
     const Room room = room_in(memory + get_global_id(0) * (size_t)each, body, sizes);
-    const size_t size = (size_t)(n_groups * (1 + n_gloss) + EVEN_PLANES) * side * side;
+    const size_t size = (size_t)(n_groups * (1 + n_gloss) + EVEN_PLANES) * rows * columns;
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next))
-        draw_pose(body, sizes, room, transforms + (size_t)pose * parts * 12, vload3(pose, suns), exponents, 0, 0,
+        draw_pose(body, sizes, cut, room, transforms + (size_t)pose * parts * 12, vload3(pose, suns), exponents, 0, 0,
             out + pose * size);
 }
 
@@ -199,9 +205,10 @@ __kernel void combined(
 {
     const Body body = BODY;
     const Sizes sizes = SIZES;
+    const Cut whole = {0, 0, side, side};
     const Room room = room_in(memory + get_global_id(0) * (size_t)each, body, sizes);
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next))
-        draw_pose(body, sizes, room, transforms + (size_t)pose * parts * 12, vload3(pose, suns), exponents,
+        draw_pose(body, sizes, whole, room, transforms + (size_t)pose * parts * 12, vload3(pose, suns), exponents,
             share + (size_t)pose * every, pictures, out + (size_t)pose * pictures * side * side);
 }
 

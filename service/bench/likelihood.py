@@ -270,12 +270,12 @@ def _rough_nats(hill: Hill, at: Refined) -> float:
     along = vectors @ (np.sqrt(np.maximum(values, 0.0)) * drawn / np.linalg.norm(drawn))
     places = np.linspace(-1, 1, _ROUGH_POSES)
     poses = retract(at.pose[np.zeros(_ROUGH_POSES, dtype=np.intp)], places[:, None] * along)
-    found = hill.log_evidences(hill.drawing.planes(poses, at.sun, hill.view, hill.quality))
+    found = hill.log_evidences(hill.drawing.cut(poses, at.sun, hill.view, hill.quality))
     return float(np.std(found - np.polyval(np.polyfit(places, found, 2), places)))
 
 
 def _evidence_ms(hill: Hill, at: Refined) -> float:
-    planes = hill.drawing.planes(at.pose, at.sun, hill.view, hill.quality)
+    planes = hill.drawing.cut(at.pose, at.sun, hill.view, hill.quality)
     return _median_ms(lambda: hill.log_evidences(planes))
 
 

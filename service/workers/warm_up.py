@@ -58,7 +58,7 @@ def _draw(drawing: Drawing) -> None:
     pose = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.full((1, 2), 0.5 * _SIDE), np.log([4.0]), np.zeros((1, 0)))
     look = pose, np.array([[0.0, 0.0, -1.0]])
     view, quality = View((0.0, 0.0), 1.0, _SIDE), Quality(1, _SIDE)
-    planes = drawing.planes(*look, view, quality)
+    planes = drawing.cut(*look, view, quality)
     empty = np.zeros((_SIDE, _SIDE), np.float32)
     blur = PointSpread(1.0), 0.0
     scene = Scene(empty, 1.0, 1.0, 1.0, empty > 0, blur[0])

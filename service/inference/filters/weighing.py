@@ -178,7 +178,7 @@ def looks_at(mode: Weighed, hill: Hill, other: Nuisance) -> Looks:
     unlike = existence.log_unlike_of(hill, fit)
     if unlike > fit.log_evidence - _REFITTED:
         ways.append((existence.scene_unlike(hill), None))
-    logs = [float(one) for one in hill.log_evidences_under(fit.planes[None], ways, fit.values[None])[:, 0]]
+    logs = [float(one) for one in hill.log_evidences_under(fit.planes, ways, fit.values[None])[:, 0]]
     afresh, elsewhere, below, above, *refitted = logs
     gains = below - fit.log_evidence, above - fit.log_evidence
     told = existence.log_discrepancy(hill.scene.discrepancy, gains)

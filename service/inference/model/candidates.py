@@ -51,7 +51,7 @@ def scored(hill: Hill, some: Candidates) -> Candidates:
     """The same with their log posteriors on a hill, best first."""
     found, count = log_prior(some.poses, some.suns, hill.told), max(_AT_ONCE_BYTES // hill.bytes_drawn, 1)
     for few in (slice(start, start + count) for start in range(0, len(some), count)):
-        planes = hill.drawing.planes(some.poses[few], some.suns[few], hill.view, hill.quality)
+        planes = hill.drawing.cut(some.poses[few], some.suns[few], hill.view, hill.quality)
         found[few] += hill.log_evidences(planes)
     return Candidates(some.poses, some.suns, found)[np.argsort(-found)]
 

@@ -18,10 +18,24 @@ Images = NDArray[np.float32]
 EVEN_PLANES = 4  # exact: of a drawing: coverage and the three parts of the mean normal, for even light and its tilt
 
 
+class Cut(Protocol):
+    """``gpu.cut.Cut``: (N, Q, S, S) pictures, of which what is dark about the bodies may be left out."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: slice | NDArray[np.intp]) -> Cut:
+        """Some of the N."""
+        ...
+
+    def whole(self) -> Images:
+        """(N, Q, S, S) with the dark."""
+        ...
+
+
 class Shaded(Protocol):
     """``gpu.shaded.ShadedBody``."""
 
-    def planes(
+    def cut(
         self,
         part_transforms: NDArray[np.float32],
         towards_sun: Array,
@@ -32,7 +46,7 @@ class Shaded(Protocol):
         gloss: tuple[float, ...] = ...,
         lens: tuple[float, float, float] = ...,
         around: Around = ...,
-    ) -> Images:
+    ) -> Cut:
         """(N, P, 3, 4) transforms to the patch -> (N, Q, side, side): groups, coverage, normals, gloss of groups."""
         ...
 
@@ -69,14 +83,15 @@ class Shaded(Protocol):
 class Evidence(Protocol):
     """``gpu.evidence.LightEvidence``; its twin is ``service.inference.model.likelihood.fit_light``."""
 
-    def evidence(
-        self, planes: Images, n_groups: int, terms: Any, rounds: int, which: Sequence[int] | None = None
-    ) -> Any:
-        """(N, Q, S, S) planes -> ``log_evidence``, ``chi2`` (N,) and ``coefficients`` (N, Q)."""
+    def evidence(self, planes: Any, n_groups: int, terms: Any, rounds: int, which: Sequence[int] | None = None) -> Any:
+        """(N, Q, S, S) planes -> ``log_evidence``, ``chi2`` (N,) and ``coefficients`` (N, Q).
+
+        ``planes``: a ``Cut``, or an array: their first rows and columns, beyond which all are dark.
+        """
         ...
 
     def details(
-        self, planes: Images, n_groups: int, terms: Any, rounds: int, which: Sequence[int] | None = None
+        self, planes: Any, n_groups: int, terms: Any, rounds: int, which: Sequence[int] | None = None
     ) -> tuple[Any, Any]:
         """The same, and what each pose's curvature is made of."""
         ...
@@ -176,7 +191,11 @@ class Drawing:
 
     def planes(self, poses: Poses, sun: Array, view: View, quality: Quality) -> Images:
         """(N, Q, S, S) pictures of each surface group, coverage and normals (for even light), and of gloss."""
-        return self.shaded.planes(
+        return self.cut(poses, sun, view, quality).whole()
+
+    def cut(self, poses: Poses, sun: Array, view: View, quality: Quality) -> Cut:
+        """``planes``, without what is dark about the bodies."""
+        return self.shaded.cut(
             self.transforms(poses, view),
             sun,
             side=view.side,

@@ -33,7 +33,7 @@ def expected(before: Array | None, dt_s: float) -> Array:
 def log_absent(hill: Hill) -> float:
     """Log evidence of the sky alone."""
     side, planes = hill.view.side, len(hill.terms.offset) + EVEN_PLANES
-    nothing, terms = np.zeros((1, planes, side, side), np.float32), replace(hill.terms, stars=hill.scene.stars_alone)
+    nothing, terms = np.zeros((1, planes, 1, side), np.float32), replace(hill.terms, stars=hill.scene.stars_alone)
     return float(hill.log_evidences(nothing, terms)[0])
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.inference.model import prior
-from service.inference.model.drawing import EVEN_PLANES
+from service.inference.model.drawing import EVEN_PLANES, Cut
 from service.inference.model.scene import Images
 from service.inference.model.spread import deviations, gradient, spread
 from service.inference.model.terms import Terms
@@ -33,7 +33,7 @@ _FIRM = 1e8  # numerical: times the curvature of an unknown that is to go nowher
 class Fit:
     """A pose's light at its best: ``gpu.evidence.Details`` and what goes with them."""
 
-    planes: Images  # (Q, S, S) as drawn: groups, coverage, normals, gloss
+    planes: Images | Cut  # (1, Q, S, S) as drawn: groups, coverage, normals, gloss
     log_evidence: float
     chi2: float  # mean square of residual over its scale, on the body
     coefficients: Images  # (Q,) of the drawing's planes: what ``combined`` draws the same light with
@@ -99,7 +99,7 @@ def fit_light(planes: Images, n_groups: int, terms: Terms, rounds: int = ROUNDS)
     coefficients[positive] = gain * np.exp(terms.offset + values[: len(positive)])
     coefficients[n_groups] = gain * unknowns.value[len(lit) + 1] - terms.hidden * unknowns.value[len(lit) + 2]
     coefficients[n_groups + 1 : even.stop] = np.exp(terms.gain) * unknowns.value[len(lit) + 6 : len(lit) + 9]
-    return replace(fit, planes=planes, coefficients=coefficients, values=values, lit=lit)
+    return replace(fit, planes=planes[None], coefficients=coefficients, values=values, lit=lit)
 
 
 def _law(terms: Terms, kept: NDArray[np.intp], n: int) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ Found at its best poses, then held.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from service.inference.model import prior
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread
 from service.inference.numerics.hill import Hill, Looked
+from service.inference.state import Array
 
 _WIDTHS = tuple(float(v) for v in 0.4 * 10 ** (np.arange(20) / 11))  # numerical: grid, to 21 px of the frame: enlarged
 _SHARES = (0.0, 0.25, 0.5, 0.7, 0.85, 0.95)  # numerical: grid: of the width's square that is the wings'
@@ -43,6 +45,7 @@ _EVERY_MASK = tuple((a, m) for a in range(1, len(_AMOUNTS)) for m in range(len(_
 _MASK_PX = 2.0  # numerical: where the mask's width is looked for first
 _FIVE = 5  # exact: point spread's width and wings, discrepancy, photons, hidden sky
 _LOOKS = 24  # numerical: grids are searched from where one stands: no more than this
+_STRIDES = (3, 1)  # numerical: steps over the grids of discrepancy and photons
 
 
 @dataclass(frozen=True)
@@ -156,20 +159,41 @@ def _place_of(nuisance: Nuisance) -> _Place:
 
 
 def best_discrepancy(at: Looked, start: Nuisance) -> Nuisance:
-    """The discrepancy under which the best pose explains the frame best, prior included."""
-    found = at.log_evidences([at.hill.scene.under(discrepancy=tau) for tau in _DISCREPANCIES]).max(axis=1)
-    deviations = np.log(np.array(_DISCREPANCIES) / prior.DISCREPANCY) / prior.DISCREPANCY_LOG_SIGMA
-    values = found - 0.5 * deviations**2
-    return replace(start, discrepancy=_DISCREPANCIES[int(np.argmax(values))])
+    """The discrepancy under which the best pose explains the frame best, prior included, by steps over its grid."""
+    grid, scene = _DISCREPANCIES, at.hill.scene
+
+    def values(places: list[int]) -> Array:
+        found = at.log_evidences([scene.under(discrepancy=grid[k]) for k in places]).max(axis=1)
+        return np.asarray(found + [_log_prior_of_discrepancy(grid[k]) for k in places], np.float64)
+
+    return replace(start, discrepancy=grid[highest(values, _nearest(grid, start.discrepancy), len(grid))])
 
 
 def best_photon(at: Looked, start: Nuisance) -> Nuisance:
-    """The photon transfer under which the best pose explains the frame best, prior included."""
-    scene = at.hill.scene
+    """The photon transfer under which the best pose explains the frame best, prior included, by steps over its grid."""
+    scene, squares = at.hill.scene, at.hill.view.binning**2
     seen = scene.photon if scene.seen_photon is None else scene.seen_photon
-    found = at.log_evidences([scene.under(photon=seen * share) for share in _PHOTONS]).max(axis=1)
-    values = found + [_log_prior_of_photon(share) for share in _PHOTONS]
-    return replace(start, photon=seen * _PHOTONS[int(np.argmax(values))] * at.hill.view.binning**2)
+
+    def values(places: list[int]) -> Array:
+        found = at.log_evidences([scene.under(photon=seen * _PHOTONS[k]) for k in places]).max(axis=1)
+        return np.asarray(found + [_log_prior_of_photon(_PHOTONS[k]) for k in places], np.float64)
+
+    share = prior.PHOTON_SHARE if start.photon is None else start.photon / squares / seen
+    return replace(start, photon=seen * _PHOTONS[highest(values, _nearest(_PHOTONS, share), len(_PHOTONS))] * squares)
+
+
+def highest(values: Callable[[list[int]], Array], here: int, count: int) -> int:
+    """Where on a grid of so many places a function with one top is highest, by wide steps, then by narrow ones."""
+    seen: dict[int, float] = {}
+    for step in _STRIDES:
+        there = None
+        while there != here:
+            there = here
+            new = [k for k in (here, here - step, here + step) if 0 <= k < count and k not in seen]
+            if new:
+                seen.update(zip(new, map(float, values(new)), strict=True))
+            here = max(seen, key=lambda place: seen[place])
+    return here
 
 
 def best_hidden(at: Looked, start: Nuisance) -> Nuisance:
@@ -227,8 +251,7 @@ def scene_under(hill: Hill, nuisance: Nuisance) -> Scene:
 
 def log_prior(nuisance: Nuisance, hill: Hill) -> float:
     """Of all of it in a frame, but for a constant."""
-    deviation = float(np.log(nuisance.discrepancy / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
-    out = _log_prior(nuisance) - 0.5 * deviation**2
+    out = _log_prior(nuisance) + _log_prior_of_discrepancy(nuisance.discrepancy)
     if nuisance.hides is not None and hill.scene.hidden > 0:
         out += _log_prior_of_hidden(hill.scene.share_of_sky(nuisance.hides))
     photon = nuisance.photon_on(hill.view.binning)
@@ -239,12 +262,21 @@ def log_prior(nuisance: Nuisance, hill: Hill) -> float:
 
 def _neighbour(grid: tuple[float, ...], now: float, turn: int) -> float:
     """The next value of a grid, up or down by turns."""
-    k = int(np.argmin(np.abs(np.array(grid) - now))) + (1 if turn % 2 else -1)
+    k = _nearest(grid, now) + (1 if turn % 2 else -1)
     return grid[min(max(k, 0), len(grid) - 1)]
+
+
+def _nearest(grid: tuple[float, ...], now: float) -> int:
+    return int(np.argmin(np.abs(np.array(grid) - now)))
 
 
 def _log_prior_of_hidden(share: float) -> float:
     return -0.5 * ((share - prior.HIDDEN_MEAN) / prior.HIDDEN_SIGMA) ** 2
+
+
+def _log_prior_of_discrepancy(tau: float) -> float:
+    deviation = float(np.log(tau / prior.DISCREPANCY)) / prior.DISCREPANCY_LOG_SIGMA
+    return -0.5 * deviation**2
 
 
 def _log_prior_of_photon(share: float) -> float:

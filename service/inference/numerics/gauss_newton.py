@@ -213,7 +213,7 @@ def _look(
     if start is not None and start.is_drawn_on(hill):
         planes, which, ended = start.planes, start.which, start.values
     else:
-        planes, which = hill.drawing.planes(poses, suns, hill.view, hill.quality), np.arange(len(poses))
+        planes, which = hill.drawing.cut(poses, suns, hill.view, hill.quality), np.arange(len(poses))
     terms = hill.terms
     if believed is not None and at is not None:
         terms = painted(terms, believed.paint[at])
@@ -222,7 +222,7 @@ def _look(
     rounds = hill.rounds if ended is not None else AFRESH * hill.rounds
     found, details = hill.drawing.light.details(planes, hill.drawing.n_groups, terms, rounds, [*which])
     fits = [
-        Fit(planes[k], float(e), float(x), c, v, **vars(more))
+        Fit(planes[k : k + 1], float(e), float(x), c, v, **vars(more))
         for k, e, x, c, v, more in zip(
             which, found.log_evidence, found.chi2, found.coefficients, found.values, details, strict=True
         )

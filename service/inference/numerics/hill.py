@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from service.inference.model.drawing import EVEN_PLANES, FINE, Drawing, Quality, View
+from service.inference.model.drawing import EVEN_PLANES, FINE, Cut, Drawing, Quality, View
 from service.inference.model.likelihood import ROUNDS, Fit
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images, Scene
@@ -62,14 +62,14 @@ class Hill:
     def _under(self, scene: Scene) -> Terms:
         return terms_of(scene, self.drawing.n_groups, self._n_planes, self.drawing.pieces)
 
-    def log_evidences(self, planes: Images, terms: Terms | None = None) -> Array:
+    def log_evidences(self, planes: Images | Cut, terms: Terms | None = None) -> Array:
         """(N,) of drawn poses (N, Q, S, S); ``terms``: other than the hill's own."""
         found = self.drawing.light.evidence(planes, self.drawing.n_groups, terms or self.terms, self.rounds)
         return np.asarray(found.log_evidence, np.float64)
 
     def log_evidences_under(
         self,
-        planes: Images,
+        planes: Images | Cut,
         ways: Sequence[tuple[Scene, Array | None]],
         ended: Images | None = None,
         which: NDArray[np.intp] | None = None,
@@ -100,7 +100,7 @@ class Looked:
     """N poses on a hill: as they are drawn there, and their light at its best."""
 
     hill: Hill
-    planes: Images  # (M, Q, S, S)
+    planes: Cut  # (M, Q, S, S)
     which: NDArray[np.intp]  # (N,) numbers of theirs
     values: Images  # (N, U) unknowns of their light
     log_evidence: Array  # (N,)
@@ -124,11 +124,11 @@ class Looked:
 
 def looked(hill: Hill, poses: Poses, suns: Array) -> Looked:
     """N poses on a hill, each with its Sun (N, 3)."""
-    planes = hill.drawing.planes(poses, suns, hill.view, hill.quality)
+    planes = hill.drawing.cut(poses, suns, hill.view, hill.quality)
     return _settled(hill, planes, np.arange(len(poses)), None)
 
 
-def _settled(hill: Hill, planes: Images, which: NDArray[np.intp], ended: Images | None) -> Looked:
+def _settled(hill: Hill, planes: Cut, which: NDArray[np.intp], ended: Images | None) -> Looked:
     terms, rounds = (hill.terms, AFRESH * hill.rounds) if ended is None else (hill.terms.begun(ended), hill.rounds)
     found = hill.drawing.light.evidence(planes, hill.drawing.n_groups, terms, rounds, [*which])
     return Looked(hill, planes, which, found.values, np.asarray(found.log_evidence, np.float64))

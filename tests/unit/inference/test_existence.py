@@ -117,7 +117,7 @@ def test_what_a_frame_says_of_another_body_is_not_far_from_what_it_says_with_the
         image = image + np.random.default_rng(5).normal(0, SIGMA, image.shape)
         hill = Hill(scene(image, SIGMA), body().fine, View((0.0, 0.0), 1.0, SIZE), PosePrior(towards_sun=SUN))
         fit = ascend(hill, truth(0), SUN[None].copy(), steps=0, covariance="none")[0].fit
-        anew = hill.log_evidences_under(fit.planes[None], [(existence.scene_unlike(hill), None)])[0, 0]
+        anew = hill.log_evidences_under(fit.planes, [(existence.scene_unlike(hill), None)])[0, 0]
         assert -_REFITTED < anew - existence.log_unlike_of(hill, fit) < _REFITTED
 
 

@@ -96,7 +96,7 @@ def test_the_device_eliminates_the_light_as_its_twin_does(sun_free):
     several, suns = concatenate(pose(), moved(0.02, -0.03, 0.01, 0.5, -0.4, 0.02, 3.0), pose()), np.tile(SUN, (3, 1))
     fits = [*_look(on, several[:2], suns[:2])[0], *_look(on, several[2:], suns[2:])[0]]  # told by two launches
     slopes = slopes_of(on, several, suns, fits)
-    known = np.abs(np.random.default_rng(5).normal(size=(3, len(fits[0].planes) - 4))) * 0.2
+    known = np.abs(np.random.default_rng(5).normal(size=(3, len(fits[0].coefficients) - 4))) * 0.2
     for paint in (None, known):
         found = on.drawing.slopes.systems(slopes, [fit.row for fit in fits], paint)
         wanted = eliminated(fits, slopes, paint)

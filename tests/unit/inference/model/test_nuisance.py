@@ -13,6 +13,7 @@ from service.inference.model.nuisance import (
     best_hidden,
     best_photon,
     best_spread,
+    highest,
     neighbour,
 )
 from service.inference.model.spread import PointSpread
@@ -161,3 +162,17 @@ def test_every_fifth_frame_tries_a_neighbour_of_each():
 def test_squares_of_pixels_make_the_point_spread_smaller():
     one = replace(Nuisance(2.0, 1.0), discrepancy=0.1)
     assert one.point_spread(2.0).core == 1.0 and one.point_spread(2.0).wings == 0.5
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 17])
+def test_the_top_of_a_grid_is_found_without_a_look_at_all_of_it(count):
+    for top in range(count):
+        for start in range(count):
+            looks: list[int] = []
+
+            def values(places: list[int], top: int = top, looks: list[int] = looks) -> np.ndarray:
+                looks.extend(places)
+                return -np.abs(np.array(places, dtype=float) - top)
+
+            assert highest(values, start, count) == top
+            assert len(looks) == len(set(looks)) <= 5 + abs(top - start) / 3 + 3
