@@ -286,7 +286,8 @@ static bool step(const Scene s, const Room r, const int lit, const int count, co
 
 // A plane as the camera leaves it, zero where else `around` is.
 static void draw_blurred(const Scene s, const Room r, __global const float *plane, const Box box, const Box around,
-    const int apart, __global const float *weights, __global const int *radii, __global const float *taps, __global float *out)
+    const int apart, __global const float *weights, __global const int *radii, __global const float *taps,
+    __global float *out)
 {
     clear(out, around, s.side);
     for (int c = 0; c < s.components; ++c) {
@@ -328,17 +329,13 @@ static void prepare(const Scene s, const Room r, __global const float *slopes)
     }
 }
 
-// The pictures of the unknowns, their priors and first values: `start`, or where there is none the prior's and the
-// gain that fits best with it. How many positives are lit.
-static int begin(const Scene s, const Room r, __global const float *planes, const Box cut,
-    __global const float *offset, const Facets f, __global const float *start, __global const float *data, __global const float *weights,
-    __global const int *radii, __global const float *taps, const int groups, Box *body)
+// The pictures of a drawn pose that do not change with its light: how many positives are lit, and their `plane`.
+static int draw_pictures(const Scene s, const Room r, __global const float *planes, const Box cut,
+    __global const float *weights, __global const int *radii, __global const float *taps, const int groups, Box *body)
 {
-    const Box all = {0, s.side, 0, s.side};
-    const int tall = tile_rows(s.first);
+    const int tall = tile_rows(s.first), apart = cut.right - cut.left, each = (cut.bottom - cut.top) * apart;
     int radius = 0, lit = 0;
     for (int c = 0; c < s.components; ++c) radius = max(radius, radii[c]);
-    const int apart = cut.right - cut.left, each = (cut.bottom - cut.top) * apart;
     planes -= cut.top * apart + cut.left;  // so that places are those of the patch
     __global const float *covered = planes + groups * each;
     const Box cover = box_of(covered, cut, apart, 0.0f);
@@ -365,10 +362,20 @@ static int begin(const Scene s, const Room r, __global const float *planes, cons
         if (most_in(picture_in(s, r, slot), wide, s.side) <= LEAST_LIT) continue;
         r.box[slot] = wide;
         note_reach(s, r, slot, wide);
-        r.plane[lit] = p;
-        r.mean[lit] = (double)f.mean[p];
-        r.precision[lit] = (double)f.precision[p];
-        ++lit;
+        r.plane[lit++] = p;
+    }
+    return lit;
+}
+
+// Priors and first values of the unknowns: `start`, or where there is none the prior's and the gain that fits best with
+// it.
+static void begin(const Scene s, const Room r, const int lit, const Box body, __global const float *offset,
+    const Facets f, __global const float *start, __global const float *data)
+{
+    const Box all = {0, s.side, 0, s.side};
+    for (int m = 0; m < lit; ++m) {
+        r.mean[m] = (double)f.mean[r.plane[m]];
+        r.precision[m] = (double)f.precision[r.plane[m]];
     }
     tie_facets(f, r.plane, lit, r.precision, r.mean, r.tie, r.kin);
     for (int m = 0; m < lit; ++m) r.value[m] = start ? (double)start[r.plane[m]] : r.mean[m];
@@ -386,16 +393,15 @@ static int begin(const Scene s, const Room r, __global const float *planes, cons
                 r.scale[m++] = pown(s.width, order) / sqrt(factorial[order - b] * factorial[b]);
     }
     clear(r.light, all, s.side);  // beyond the body, too
-    if (start) return lit;
+    if (start) return;
     // The gain by least squares, everything else at its prior.
     for (int m = 0; m < lit; ++m)
         add(r.light, picture_in(s, r, s.first + m), r.box[s.first + m], s.side,
             exp(offset[r.plane[m]] + (float)r.mean[m]));
-    add(r.light, picture_in(s, r, EVEN), *body, s.side, (float)r.mean[lit + 1]);
-    const float power = dot_in(r.light, r.light, *body, s.side), likeness = dot_in(r.light, data, *body, s.side);
+    add(r.light, picture_in(s, r, EVEN), body, s.side, (float)r.mean[lit + 1]);
+    const float power = dot_in(r.light, r.light, body, s.side), likeness = dot_in(r.light, data, body, s.side);
     if (power > 0.0f && likeness > 0.0f)
         r.value[lit] = (double)clamp(log(likeness / power), s.gain - 4.0f, s.gain + 4.0f);
-    return lit;
 }
 
 // Sum of log t of the residuals, and the mean square of those on the body over their scale. Of a pixel of which a least
@@ -515,7 +521,8 @@ __kernel void evidence(
     __global const float *slopes, __global const float *bumps, __global const float *weights, __global const int *radii,
     __global const float *taps, __global const int *stars, const int groups, const int side, const int n_planes,
     const int speckle, const int shifts, const int rounds, const int top, const int left, const int rows,
-    const int columns, const int length, const int n_stars, const float sigma2, const float area, const float edge2, const float gain, const float star,
+    const int columns, const int length, const int n_stars, const float sigma2, const float area, const float edge2,
+    const float gain, const float star,
     __global const int *spreads, __global const float *own, __global float *out,
     __global float *coefficients, __global float *values, __global float *details, __global float *memory,
     const ulong each, volatile __global int *next)
@@ -528,6 +535,8 @@ __kernel void evidence(
     prepare(s, r, slopes);
     const Box cut = {top, top + rows, left, left + columns};
     __global const float *behind = slopes + 3 * pixels;  // light of the sky at a place, over its level
+    Box body = {0, 0, 0, 0};
+    int lit = 0, drawn = -1, blurred = -1;
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next)) {
         __global const int *spread = spreads + 4 * pose;
         s.components = spread[1];
@@ -535,12 +544,15 @@ __kernel void evidence(
         s.width = own[4 * pose + 1];
         s.photon = own[4 * pose + 2];
         s.hidden = own[4 * pose + 3];
-        Box body;
+        // Under another discrepancy, or with other paint, the same pose has the same pictures.
+        if (spread[3] != drawn || spread[0] != blurred)
+            lit = draw_pictures(s, r, planes + (size_t)spread[3] * n_planes * rows * columns, cut,
+                weights + spread[0], radii + spread[0], taps + spread[2], groups, &body);
+        drawn = spread[3];
+        blurred = spread[0];
         const Facets f = facets_of(positives, pieces, ties, given_mean + (size_t)pose * every,
             given_precision + (size_t)pose * every);
-        const int lit = begin(s, r, planes + (size_t)spread[3] * n_planes * rows * columns, cut, offset, f,
-            started ? given_start + (size_t)pose * s.unknowns : 0, data, weights + spread[0], radii + spread[0],
-            taps + spread[2], groups, &body);
+        begin(s, r, lit, body, offset, f, started ? given_start + (size_t)pose * s.unknowns : 0, data);
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
         float gained = draw_model(s, r, lit, count, body, offset, data, marks, behind, bumps, stars);
         bool sound = true, still = false;
@@ -568,14 +580,14 @@ __kernel void evidence(
         out[4 * pose + 1] = chi2;
         out[4 * pose + 2] = (float)logdet;
         out[4 * pose + 3] = (float)squares;
-        __global float *drawn = coefficients + (size_t)pose * n_planes, *ended = values + (size_t)pose * s.unknowns;
+        __global float *told = coefficients + (size_t)pose * n_planes, *ended = values + (size_t)pose * s.unknowns;
         const float bright = (float)exp(r.value[lit]);
         tell_values(s, r, lit, f, ended);
         for (int p = 0; p < s.positives; ++p)
-            drawn[p < groups ? p : p + EVEN_PLANES] = bright * exp(offset[p] + ended[p]);
-        for (int m = 0; m < lit; ++m) drawn[r.plane[m] < groups ? r.plane[m] : r.plane[m] + EVEN_PLANES] = r.scale[m];
-        drawn[groups] = bright * (float)r.value[lit + 1] - s.hidden * (float)r.value[lit + 2];
-        for (int k = 0; k < 3; ++k) drawn[groups + 1 + k] = r.scale[lit + 6 + k] * (float)r.value[lit + 6 + k];
+            told[p < groups ? p : p + EVEN_PLANES] = bright * exp(offset[p] + ended[p]);
+        for (int m = 0; m < lit; ++m) told[r.plane[m] < groups ? r.plane[m] : r.plane[m] + EVEN_PLANES] = r.scale[m];
+        told[groups] = bright * (float)r.value[lit + 1] - s.hidden * (float)r.value[lit + 2];
+        for (int k = 0; k < 3; ++k) told[groups + 1 + k] = r.scale[lit + 6 + k] * (float)r.value[lit + 6 + k];
         if (details) {
             bool firm[2];
             held_step(s, r, lit, count, row, sound, firm);

@@ -85,8 +85,9 @@ static float dot_in(__global const float *a, __global const float *b, const Box 
     return sum_of(sum);
 }
 
-// Adds weight * (picture, of rows `apart`, swept by 2 radius + 1 taps along each axis) to `out`. `between` has `side` rows of `length`
-// numbers: the picture swept downwards, with room on both sides for what the sweep across reads beyond it.
+// Adds weight * (picture, whose rows are `apart`, swept by 2 radius + 1 taps along each axis) to `out`. `between` has
+// `side` rows of `length` numbers: the picture swept downwards, with room on both sides for what the sweep across reads
+// beyond it.
 static void sweep(__global const float *picture, const int apart, const Box box, const int side, const float weight,
     __global const float *down, __global const float *taps, const int radius, __global float *between,
     const int length, __global float *out)

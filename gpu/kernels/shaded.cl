@@ -22,7 +22,8 @@ static Room room_in(__global float *memory, const Body body, const Sizes sizes)
 typedef struct { int top, left, rows, columns; } Cut;
 
 // Adds up `supersample` samples for each pixel of a row, with what a sample counts. `to` is the row of the cut.
-static void give_row(const Sizes sizes, const Cut cut, __global const float *sums, __global float *to, const float share)
+static void give_row(const Sizes sizes, const Cut cut, __global const float *sums, __global float *to,
+    const float share)
 {
     for (int j = 0; j < cut.columns; ++j) {
         float sum = 0.0f;
@@ -115,8 +116,8 @@ static void add_to_planes(const Body body, const Sizes sizes, const Room room, c
         }
 }
 
-// One pose's cut, into zeros. With `share`, the weights of the planes: their sum into the first picture, and into a second,
-// where there are two, the coverage. Without: every plane.
+// One pose's cut, into zeros. With `share`, the weights of the planes: their sum into the first picture, and into a
+// second, where there are two, the coverage. Without: every plane.
 static void draw_pose(const Body body, const Sizes sizes, const Cut cut, const Room room,
     __global const float *transforms, const float3 sun, __global const float *exponents, __global const float *share,
     const int pictures, __global float *out)
