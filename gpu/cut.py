@@ -42,6 +42,11 @@ class Cut:
         """Where its values lie."""
         return Window(self.top, self.left, *self.values.shape[2:])
 
+    @property
+    def nbytes(self) -> int:
+        """That it takes."""
+        return self.values.nbytes
+
     def whole(self) -> Numbers:
         """(N, Q, side, side) with the dark around it."""
         rows, columns = self.values.shape[2:]

@@ -27,6 +27,11 @@ class Cut(Protocol):
         """Some of the N."""
         ...
 
+    @property
+    def nbytes(self) -> int:
+        """That it takes."""
+        ...
+
     def whole(self) -> Images:
         """(N, Q, S, S) with the dark."""
         ...

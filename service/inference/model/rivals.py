@@ -19,7 +19,7 @@ from service.inference.model.candidates import (
 )
 from service.inference.model.lookalikes import boxed, equivalents
 from service.inference.model.nuisance import Nuisance
-from service.inference.model.search import BEHIND, BOXED, MORE_SUNS, started, under
+from service.inference.model.search import BOXED, MORE_SUNS, started, under
 from service.inference.model.shaking import best_of_each
 from service.inference.model.stages import CLEAR, FINEST, MIDDLE, SHARP, Body, Part, Sight, stage_hill
 from service.inference.model.templates import Bank
@@ -56,7 +56,7 @@ class _Known:
 
     def others_near(self, hill: Hill, some: Candidates) -> Candidates:
         """Those not far behind the best of it, and no other look at any of it."""
-        near = some[np.flatnonzero(some.found > self.on(hill).found[0] - BEHIND)]
+        near = some[np.flatnonzero(some.found > self.on(hill).found[0] - HOPELESS)]
         return unlike(near, self._modes.poses, hill.drawing.articulation)
 
 

@@ -52,7 +52,6 @@ _BETWEEN_RAD, _BETWEEN_SCALES = 0.07, 0.06
 _MIRRORED = 3  # numerical: of the best, whose symmetry-equivalents are looked at
 BOXED = 2  # numerical: of the best, whose images were the body a box are looked at
 _WIDER = 1.3  # numerical: so much more must a wider sight span
-BEHIND = 40.0  # numerical: nats behind the best at the sharp stage: of 52 frames the truth was 21 at the most
 _LIT_SHARE = 0.65  # numerical: of a body's diameter that shows light, as a rule: how far a patch reaches
 _TRIED = 60  # numerical: basins whose joints and Suns are tried anew
 _TOGETHER = 2  # numerical: joints that are tried in all combinations; more of them one after the other
@@ -132,7 +131,7 @@ def search(
     news = some if track is None else beside(hill, some, track, shake, rng)
     if news is None:
         return Found([], hill, nuisance)
-    some = news[np.flatnonzero(news.found > news.found[0] - BEHIND)]
+    some = news[np.flatnonzero(news.found > news.found[0] - HOPELESS)]
     some = some if alike is None else joined([some, equivalents(some[:_MIRRORED], alike)])
     return finished(body, sight, some, nuisance, told, shake)
 
@@ -147,7 +146,7 @@ def beside(
     if track.doubted and rng is not None:
         more.append(scattered(rng, hill, known[:1]))
     some = best_of(joined(more), SHARP.kept, articulation)
-    rivals = some[np.flatnonzero(some.found > known.found[0] - BEHIND)]
+    rivals = some[np.flatnonzero(some.found > known.found[0] - HOPELESS)]
     if shake or len(unlike(rivals, known.poses, articulation)):
         return best_of(joined([some, known]), SHARP.kept, articulation)
     return None

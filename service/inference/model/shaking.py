@@ -48,13 +48,15 @@ def shaken(clear: Hill, hill: Hill, one: Refined) -> list[Refined]:
     along = along * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * (_ALONG_RAD / turn)
     kinds = (about, _ABOUT), (along, _ALONG), (turns_of_joints(hill, d), _TURNED)
     near = joined([around(clear, one, steps)[:most] for steps, most in kinds if len(steps)])
-    out = ascend(hill, near.poses, near.suns, steps=_TRIAL_STEPS, covariance="none")
+    light = np.tile(one.fit.values, (len(near), 1))
+    out = ascend(hill, near.poses, near.suns, steps=_TRIAL_STEPS, covariance="none", near=light)
     out = sorted(out, key=lambda tried: -tried.log_posterior)[:_SHAKEN_KEPT]
     out = [tried for tried in out if tried.log_posterior > one.log_posterior + _BETTER or apart(hill, tried, one)]
     if not out:
         return []
     poses, suns = concatenate(*[tried.pose for tried in out]), np.stack([tried.sun for tried in out])
-    return ascend(hill, poses, suns, steps=FINEST.steps, covariance="last")
+    light = np.stack([tried.fit.values for tried in out])
+    return ascend(hill, poses, suns, steps=FINEST.steps, covariance="last", near=light)
 
 
 def turns_of_joints(hill: Hill, d: int) -> Array:
@@ -83,4 +85,5 @@ def around(hill: Hill, one: Refined, steps: Array) -> Candidates:
     """A pose's neighbours, best first."""
     start = one.pose[np.zeros(len(steps), dtype=np.intp)]
     moved = stepped(hill.drawing, start, steps)
-    return scored(hill, Candidates(moved, np.tile(one.sun, (len(steps), 1)), np.zeros(len(steps))))
+    neighbours = Candidates(moved, np.tile(one.sun, (len(steps), 1)), np.zeros(len(steps)))
+    return scored(hill, neighbours, one.fit.values)

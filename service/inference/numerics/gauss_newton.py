@@ -40,16 +40,18 @@ def ascend(
     enough: float | Array = ENOUGH,
     hopeless: float = np.inf,
     start: Looked | None = None,
+    near: Images | None = None,
 ) -> list[Refined]:
     """Climb from N poses, each with its Sun (N, 3), ``steps`` at the most. In the order given.
 
     ``enough``: nats, (N,) if each its own: the last step is the one that gains less, or to so much what the slopes at
     its start promise of the top.
     ``hopeless``: nats; after two steps those go no further that are so much behind the best.
-    ``start``: the same poses on a hill that may differ in its scene.
+    ``start``: the same poses on a hill that may differ in its scene. ``near`` (N, U): unknowns of the light of poses
+    near them, to begin with.
     ``covariance``: at the end, at the last place whose slopes are known (which is cheaper), or none.
     """
-    climb = _Climb(hill, poses, suns, believed, np.broadcast_to(enough, len(poses)), start)
+    climb = _Climb(hill, poses, suns, believed, np.broadcast_to(enough, len(poses)), start, near)
     for k in range(steps):
         climb.step()
         if k + 1 >= _TRIAL_STEPS:
@@ -68,11 +70,12 @@ class _Climb:
         believed: Believed | None,
         enough: Array,
         start: Looked | None = None,
+        near: Images | None = None,
     ) -> None:
         n, d = len(poses), 6 + poses.joints.shape[1]
         self._hill, self._believed, self._enough = hill, believed, enough
         self._poses, self._suns = poses, suns.copy()
-        self._fits, self._scores = _look(hill, poses, self._suns, believed, np.arange(n), start=start)
+        self._fits, self._scores = _look(hill, poses, self._suns, believed, np.arange(n), near, start)
         self._curvatures: list[Array] = [np.full((d, d), np.nan)] * n  # stated
         self._believed_curvatures = self._curvatures.copy()
         self._going = np.ones(n, dtype=bool)
