@@ -35,6 +35,7 @@ from service.inference.model import existence, prior
 from service.inference.model.candidates import Candidates
 from service.inference.model.rivals import Followed, rivals
 from service.inference.model.search import Found, Track, most_parts, search
+from service.inference.model.shaking import turning_joints
 from service.inference.model.stages import FINEST, Part
 from service.inference.motion import MotionNoise, motion_noise
 from service.inference.numerics.gauss_newton import ENOUGH, ascend, within
@@ -174,7 +175,7 @@ def propose(rng: np.random.Generator, before: Mixture | None, ahead: Predicted |
         track = Track(Candidates(ahead.poses, ahead.suns, ahead.log_weights), is_doubted(before, mesh_error))
         if part.count > 1:
             return beside(rng, before, ahead, track, part, given)
-    shake = before is not None and before.searches == 1  # what leads, once
+    shake = before is not None and before.searches == 1 and bool(turning_joints(given.body.rough, given.told))
     return looked(None if before is None else rng, track, given, shake)
 
 

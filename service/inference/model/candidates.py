@@ -14,16 +14,17 @@ from service.inference.estimate import short_way
 from service.inference.model.drawing import Drawing, Images
 from service.inference.model.stages import Stage
 from service.inference.numerics.gauss_newton import ascend
-from service.inference.numerics.hill import Hill, Looked, looked
+from service.inference.numerics.hill import Hill, Looked, Refined, looked
 from service.inference.numerics.priors import PosePrior
 from service.inference.pose import concatenate
 from service.inference.revolution import Axis, angle_apart, turned_within
 from service.inference.state import Array, Poses
 
-# numerical: nats behind the best from the sharp stage on: of 191 frames the truth was 55 there at the most, 18 of others
+# numerical: nats behind the best from the sharp stage on: of 191 frames the truth was 55 behind there at the most
 HOPELESS = 100.0
 _LOOKED_THROUGH = 12  # numerical: candidates a basin that is kept
 SHARED_DEG = 5.0  # numerical: poses nearer than this are one basin while it is coarse
+SAME_DEG = 2.0  # numerical: after refinement
 # numerical: of a joint's range, 22 degrees of a whole turn: as far apart, two poses turned alike are two basins
 _JOINT_APART = 0.06
 _TURNED_ALIKE = 4  # numerical: basins that differ in their joints alone: more would crowd out other rotations
@@ -125,6 +126,13 @@ def distinct(
             if start < end:
                 met[others[start:end]] += share[start:end]
     return np.array(kept, dtype=np.intp)
+
+
+def best_of_each(some: Sequence[Refined], axes: Sequence[Axis]) -> list[Refined]:
+    """The best of each basin, best first. ``axes``: of a body of revolution."""
+    ordered = sorted(some, key=lambda one: -one.log_posterior)
+    kept = distinct(concatenate(*[one.pose for one in ordered]), np.deg2rad(SAME_DEG), axes=axes)
+    return [ordered[k] for k in kept]
 
 
 def turned_alike(one: Poses, others: Poses, articulation: Articulation) -> NDArray[np.bool_]:

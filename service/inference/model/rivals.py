@@ -11,6 +11,7 @@ from service.inference.model.candidates import (
     HOPELESS,
     Candidates,
     best_of,
+    best_of_each,
     climbed,
     joined,
     looked_at,
@@ -20,7 +21,6 @@ from service.inference.model.candidates import (
 from service.inference.model.lookalikes import boxed, equivalents
 from service.inference.model.nuisance import Nuisance
 from service.inference.model.search import BOXED, MORE_SUNS, started, under
-from service.inference.model.shaking import best_of_each
 from service.inference.model.stages import CLEAR, FINEST, MIDDLE, SHARP, Body, Part, Sight, stage_hill
 from service.inference.model.templates import Bank
 from service.inference.numerics.gauss_newton import ascend

@@ -12,6 +12,7 @@ from service.inference.model.candidates import (
     HOPELESS,
     Candidates,
     best_of,
+    best_of_each,
     climbed,
     joined,
     looked_at,
@@ -24,7 +25,7 @@ from service.inference.model.expected import lit_box
 from service.inference.model.lookalikes import BETWEEN_JOINTS, boxed, equivalents, scattered
 from service.inference.model.nuisance import Nuisance, best_discrepancy, best_hidden, best_photon, best_spread
 from service.inference.model.proposing import propose, turns
-from service.inference.model.shaking import best_of_each, shaken
+from service.inference.model.shaking import shaken
 from service.inference.model.stages import (
     CLEAR,
     FINEST,
@@ -97,7 +98,7 @@ def search(
 ) -> Found:
     """All that a frame alone says of a pose.
 
-    ``shake``: False leaves what lies around the best to a later search.
+    ``shake``: what lies about the best is looked at in the end, though nothing comes near what is followed already.
     ``track``: what is followed already. Where nothing else comes near to the best of it, nothing is found.
     ``alike``: poses whose outline is that of the given ones; light decides between them.
     ``rng`` moves the templates' poses by half of what lies between them: searches that err do not err alike.
@@ -133,7 +134,7 @@ def search(
         return Found([], hill, nuisance)
     some = news[np.flatnonzero(news.found > news.found[0] - HOPELESS)]
     some = some if alike is None else joined([some, equivalents(some[:_MIRRORED], alike)])
-    return finished(body, sight, some, nuisance, told, shake)
+    return finished(body, sight, some, nuisance, told, shake, track is not None and track.doubted)
 
 
 def beside(
@@ -195,7 +196,13 @@ def jittered(
 
 
 def finished(
-    body: Body, sight: Sight, some: Candidates, nuisance: Nuisance, told: PosePrior, shake: bool = True
+    body: Body,
+    sight: Sight,
+    some: Candidates,
+    nuisance: Nuisance,
+    told: PosePrior,
+    shake: bool = True,
+    doubted: bool = False,
 ) -> Found:
     """The best basins at the finest stage: point spread and discrepancy found at the best of them, then held."""
     some, lead = looked_at(stage_hill(body.fine, sight, CLEAR, nuisance, told, speckle=True), some)
@@ -209,7 +216,7 @@ def finished(
     out = ascend(*given, steps=FINEST.steps, covariance="last", hopeless=HOPELESS, start=some.looked)
     out.sort(key=lambda one: -one.log_posterior)
     out = [one for one in out if one.log_posterior > out[0].log_posterior - HOPELESS]
-    out += shaken(clear, hill, out[0]) if shake else []
+    out += shaken(clear, hill, out[0], doubted) if shake else []
     return Found(best_of_each(out, body.fine.articulation.round_axes), hill, nuisance)
 
 

@@ -102,7 +102,7 @@ def test_a_track_is_shaken_though_the_templates_missed_it(monkeypatch):
     at = truth(4, False)
     few = Bank(bank(False).suns[:9], bank(False).poses[:9], bank(False).pictures[:, :9])
     shaken_poses = []
-    monkeypatch.setattr(searching, "shaken", lambda clear, hill, one: shaken_poses.append(one.pose) or [])
+    monkeypatch.setattr(searching, "shaken", lambda clear, hill, one, doubted: shaken_poses.append(one.pose) or [])
     found = search(body(False), sight_of(at), few, TOLD, track=track_at(at))
     assert off_deg(found.basins[0].pose, at) < 2.0
     assert off_deg(shaken_poses[0], at) < 2.0
@@ -135,12 +135,12 @@ def test_a_basin_beside_the_truth_is_left_by_shaking_and_the_truth_is_not():
     hill = rough_hill(sight_of(at))
     beside = retract(at, 0.35 * np.eye(7)[1:2])
     one = ascend(hill, beside, SUN[None], steps=1, covariance="last")[0]
-    best = max(shaken(hill, hill, one), key=lambda found: found.log_posterior)
+    best = max(shaken(hill, hill, one, doubted=True), key=lambda found: found.log_posterior)
     assert best.log_posterior > one.log_posterior + 1.0
     assert off_deg(best.pose, at)[0] < off_deg(one.pose, at)[0]
     assert abs(best.pose.joints[0, 0]) <= 180.0
     top = ascend(hill, best.pose, best.sun[None], steps=20, covariance="last")[0]
-    assert all(found.log_posterior < top.log_posterior + 1.0 for found in shaken(hill, hill, top))
+    assert all(found.log_posterior < top.log_posterior + 1.0 for found in shaken(hill, hill, top, doubted=True))
 
 
 def test_joints_are_found_with_it():
