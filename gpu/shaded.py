@@ -36,12 +36,14 @@ class ShadedBody:
         self,
         mesh: Mesh,
         groups: NDArray[np.integer],
+        gloss_groups: NDArray[np.integer],
         report: DeviceReport,
         drop_hidden: bool = True,
         together: bool | None = None,
     ) -> None:
         self.name = f"opencl:shaded:{report.name}"
-        self.n_groups = int(groups.max(initial=0)) + 1
+        self.n_groups, self.n_shiny = len(gloss_groups), int(gloss_groups.max(initial=0)) + 1
+        groups = groups.astype(np.int32) | gloss_groups[groups].astype(np.int32) << 16
         self._n_parts = len(mesh.parts)
         self._radius = np.float32(mesh.radius)
         with device_errors(self.name):
@@ -71,7 +73,9 @@ class ShadedBody:
         for number, part in enumerate(mesh.parts):
             with device_errors(self.name):
                 self._show(table.starts[number : number + 2], table.boxes[number : number + 1])
-                marks |= self._form.seen(self._shown, views_of_part(part), Sizes(SIDE, 1, 0, self.n_groups))
+                marks |= self._form.seen(
+                    self._shown, views_of_part(part), Sizes(SIDE, 1, 0, self.n_groups, self.n_shiny)
+                )
         seen = np.zeros(mesh.n_faces, dtype=bool)
         seen[self._table.origin[marks > 0]] = True
         return seen
@@ -88,13 +92,13 @@ class ShadedBody:
         lens: Lens = NO_LENS,
         around: Around = DARK,
     ) -> Numbers:
-        """(N, G + 4 + L G, side, side): each group in the Sun's light, coverage, normals, then each group's lobes.
+        """(N, G + 4 + L H, side, side): each group in the Sun's light, coverage, normals, then each lobe of H of gloss.
 
         A group's plane is the mean over a pixel's samples of n . s where the group is seen and the Sun reaches it;
         a lobe's that of (n . h)^k, h half-way between the Sun and the camera. Normals (3): the mean of n, whatever is
         seen.
         """
-        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens, around)
+        sizes = Sizes(side, supersample, shadow_px, self.n_groups, self.n_shiny, gloss, lens, around)
         return self._planes(part_transforms, towards_sun, sizes).whole()
 
     def cut(
@@ -110,7 +114,7 @@ class ShadedBody:
         around: Around = DARK,
     ) -> Cut:
         """``planes``, of which what lies about the bodies may be left out."""
-        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens, around)
+        sizes = Sizes(side, supersample, shadow_px, self.n_groups, self.n_shiny, gloss, lens, around)
         return self._planes(part_transforms, towards_sun, sizes)
 
     def combined(
@@ -126,9 +130,9 @@ class ShadedBody:
         lens: Lens = NO_LENS,
         around: Around = DARK,
     ) -> Numbers:
-        """(N, side, side) sums of the planes times ``coefficients``, (G + 4 + L G,) or (N, G + 4 + L G)."""
+        """(N, side, side) sums of the planes times ``coefficients``, (G + 4 + L H,) or (N, G + 4 + L H)."""
         given = self._given(part_transforms, towards_sun)
-        sizes = Sizes(side, supersample, shadow_px, self.n_groups, gloss, lens, around)
+        sizes = Sizes(side, supersample, shadow_px, self.n_groups, self.n_shiny, gloss, lens, around)
         return self._sum(given, coefficients, 1, sizes)[:, 0]
 
     def pictures(
@@ -145,7 +149,9 @@ class ShadedBody:
         """(N, 2, side, side): all groups in the Sun's light and that from all around, and the coverage."""
         given = self._given(part_transforms, towards_sun)
         alike = np.concatenate([np.ones(self.n_groups), np.zeros(EVEN_PLANES)])
-        return self._sum(given, alike, 2, Sizes(side, supersample, shadow_px, self.n_groups, (), lens, around))
+        return self._sum(
+            given, alike, 2, Sizes(side, supersample, shadow_px, self.n_groups, self.n_shiny, (), lens, around)
+        )
 
     def close(self) -> None:
         """Wait for the device and give its memory back."""
@@ -178,16 +184,16 @@ class ShadedBody:
         return moved, suns.astype(np.float32)
 
     def _planes(self, part_transforms: NDArray[np.floating], towards_sun: NDArray[np.floating], sizes: Sizes) -> Cut:
-        given, count = self._given(part_transforms, towards_sun), self.n_groups * (1 + len(sizes.gloss)) + EVEN_PLANES
+        given = self._given(part_transforms, towards_sun)
         seen = len(given[0]) and sizes.lens == NO_LENS
         return self._draw(
-            given, sizes, window_around(given[0], self._table.boxes, sizes.side) if seen else None, None, count
+            given, sizes, window_around(given[0], self._table.boxes, sizes.side) if seen else None, None, sizes.n_planes
         )
 
     def _sum(
         self, given: tuple[Numbers, Numbers], coefficients: NDArray[np.floating], pictures: int, sizes: Sizes
     ) -> Numbers:
-        count, n = self.n_groups * (1 + len(sizes.gloss)) + EVEN_PLANES, len(given[0])
+        count, n = sizes.n_planes, len(given[0])
         if coefficients.shape not in ((count,), (n, count)):
             raise ValueError(f"coefficients are {coefficients.shape}, not ({count},) or ({n}, {count})")
         return self._draw(given, sizes, None, np.ascontiguousarray(coefficients, np.float32), pictures).values
@@ -214,13 +220,15 @@ class ShadedBody:
 def open_shaded(
     mesh: Mesh,
     groups: NDArray[np.integer],
+    gloss_groups: NDArray[np.integer] | None = None,
     *,
     reports: Sequence[DeviceReport] | None = None,
     kind: str = "cpu",
     drop_hidden: bool = True,
     together: bool | None = None,
 ) -> ShadedBody:
-    """On the first usable device of this kind. ``groups`` (F,): see ``gpu.surface_groups``.
+    """On the first usable device of this kind. ``groups`` (F,), ``gloss_groups`` (G,): see ``gpu.surface_groups``;
+    None: each has a gloss of its own.
 
     With ``drop_hidden``, faces that cannot be seen from outside their part are left out, once for all.
     ``together``: a work-group draws a pose, not a work-item; None: unless the device is a CPU.
@@ -228,4 +236,6 @@ def open_shaded(
     """
     if len(groups) != mesh.n_faces:
         raise ValueError(f"{len(groups)} groups are given for {mesh.n_faces} faces")
-    return ShadedBody(mesh, groups, first_device(kind, reports), drop_hidden, together)
+    if gloss_groups is None:
+        gloss_groups = np.arange(int(groups.max(initial=0)) + 1)
+    return ShadedBody(mesh, groups, gloss_groups, first_device(kind, reports), drop_hidden, together)

@@ -57,10 +57,16 @@ class Sizes:
     side: int
     supersample: int
     shadow_px: int
-    n_groups: int
+    n_groups: int  # of paint
+    n_shiny: int  # groups of gloss
     gloss: tuple[float, ...] = ()
     lens: Lens = NO_LENS
     around: Around = DARK
+
+    @property
+    def n_planes(self) -> int:
+        """Pictures of one pose."""
+        return self.n_groups + EVEN_PLANES + self.n_shiny * len(self.gloss)
 
     @property
     def shadow_side(self) -> int:
@@ -177,7 +183,7 @@ class ItemForm:
         n, n_gloss, fine = len(given[0]), len(sizes.gloss), sizes.side * sizes.supersample
         stride, shadow_stride = _lanes(fine), _lanes(sizes.shadow_side)
         shadow = sizes.shadow_px, sizes.shadow_side, shadow_stride
-        numbers = (sizes.side, sizes.supersample, stride, *shadow, sizes.n_groups, n_gloss)
+        numbers = (sizes.side, sizes.supersample, stride, *shadow, sizes.n_groups, sizes.n_shiny, n_gloss)
         each = (
             fine * stride
             + sizes.shadow_side * shadow_stride
@@ -267,7 +273,7 @@ class GroupForm:
         groups = min(n, group_count(device.max_compute_units, GROUPS_PER_UNIT, 4 * each, *limits))
         inputs = (constant(self.context, one) for one in given)
         shadow = sizes.shadow_px, sizes.shadow_side
-        numbers = (sizes.side, sizes.supersample, *shadow, sizes.n_groups, len(sizes.gloss))
+        numbers = (sizes.side, sizes.supersample, *shadow, sizes.n_groups, sizes.n_shiny, len(sizes.gloss))
         exponents = constant(self.context, np.asarray(sizes.gloss, np.float32))
         head = (*inputs, np.int32(n), *faces.arguments, *(np.int32(v) for v in numbers), *sizes.camera(), exponents)
         tail = (result, self._memory.of(4 * each * groups), np.int32(each), zero(self.context), *weights)

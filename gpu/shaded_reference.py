@@ -48,18 +48,30 @@ def reference_planes(
     part_transforms: NDArray[np.floating],
     towards_sun: NDArray[np.floating],
     drawing: Drawing,
+    gloss_groups: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """(N, G + 4 + L G, side, side): each group in the Sun's light, coverage, normals (3), each group's gloss."""
+    """(N, G + 4 + L H, side, side): each group in the Sun's light, coverage, normals (3), each lobe of H of gloss."""
     suns = np.broadcast_to(np.asarray(towards_sun, np.float64), (len(part_transforms), 3))
-    n_groups, side = int(groups.max(initial=0)) + 1, drawing.side
-    out = np.zeros((len(part_transforms), n_groups * (1 + len(drawing.gloss)) + EVEN_PLANES, side, side))
+    shine = np.arange(int(groups.max(initial=0)) + 1) if gloss_groups is None else np.asarray(gloss_groups)
+    out = np.zeros((len(part_transforms), _n_planes(shine, drawing), drawing.side, drawing.side))
     for k, (one, sun) in enumerate(zip(part_transforms.astype(np.float64), suns, strict=True)):
-        out[k] = _draw(mesh, groups, one, sun / np.linalg.norm(sun), drawing)
+        out[k] = _draw(mesh, groups, shine, one, sun / np.linalg.norm(sun), drawing)
     return out
 
 
-def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floats, drawing: Drawing) -> Floats:
-    """(G + 4 + L G, side, side) of one pose."""
+def _n_planes(shine: NDArray[np.integer], drawing: Drawing) -> int:
+    return len(shine) + EVEN_PLANES + (int(shine.max()) + 1) * len(drawing.gloss)
+
+
+def _draw(
+    mesh: Mesh,
+    groups: NDArray[np.integer],
+    shine: NDArray[np.integer],
+    transforms: Floats,
+    sun: Floats,
+    drawing: Drawing,
+) -> Floats:
+    """(G + 4 + L H, side, side) of one pose."""
     fine = drawing.side * drawing.supersample
     placed = transforms * drawing.supersample
     corners, lens = mesh.placed(placed)[mesh.faces], magnified(drawing.lens, drawing.supersample)
@@ -75,17 +87,17 @@ def _draw(mesh: Mesh, groups: NDArray[np.integer], transforms: Floats, sun: Floa
     lit = (cosine[face] > 0).astype(np.float64)
     if drawing.shadow_px and len(face):
         lit *= _reached(_sun_view(mesh, placed, corners, sun, drawing), visible, normal, sun, lens)
-    n_groups = int(groups.max(initial=0)) + 1
+    n_groups, n_shiny = len(shine), int(shine.max()) + 1
     around = np.maximum(normal @ drawing.around[:3] + drawing.around[3], 0.0)
-    planes = np.zeros((n_groups * (1 + len(drawing.gloss)) + EVEN_PLANES, fine, fine))
+    planes = np.zeros((_n_planes(shine, drawing), fine, fine))
     planes[groups[face], rows, columns] = lit * np.maximum(cosine[face], 0.0) + around[face]
     planes[n_groups, rows, columns] = 1.0
     planes[n_groups + 1 : n_groups + EVEN_PLANES, rows, columns] = normal[face].T
     half_way = sun + _CAMERA
     half_way /= max(float(np.linalg.norm(half_way)), 1e-12)
     for k, exponent in enumerate(drawing.gloss):
-        shine = np.maximum(normal @ half_way, 0.0)[face] ** exponent
-        planes[n_groups * (1 + k) + EVEN_PLANES + groups[face], rows, columns] = lit * shine
+        lobe = np.maximum(normal @ half_way, 0.0)[face] ** exponent
+        planes[n_groups + EVEN_PLANES + k * n_shiny + shine[groups[face]], rows, columns] = lit * lobe
     size = (drawing.side, drawing.supersample)
     return np.asarray(planes.reshape(len(planes), *size, *size).mean(axis=(2, 4)))
 

@@ -11,6 +11,7 @@ from gpu.mesh import Mesh
 
 FEWEST, MOST = 32, 64  # groups, where no number is asked for
 ALONE = 0.97  # of the area that should have paint of its own: what shares one is told as discrepancy
+_SHINES = 0.01  # numerical: of the area: a group of so much has gloss of its own
 _SAME_POINT = 1e-5  # of the body's radius: vertices nearer than about this are one
 
 
@@ -38,6 +39,16 @@ def surface_groups(mesh: Mesh, most: int | None = None) -> NDArray[np.int32]:
         label = _joined(piece_area, piece_part, most)
     group = label[pieces]
     return _by_area(group, area)
+
+
+def gloss_groups(mesh: Mesh, groups: NDArray[np.integer]) -> NDArray[np.int32]:
+    """(G,) of each group that whose gloss is its own: the large ones have each their own, the rest have one together.
+
+    ``groups`` (F,), the largest first. A lobe shows on few faces at a time, so what is small tells nothing of its own.
+    """
+    area = np.bincount(groups, weights=face_areas(mesh))
+    large = int(np.count_nonzero(area >= _SHINES * area.sum()))
+    return np.minimum(np.arange(len(area)), large).astype(np.int32)
 
 
 def face_areas(mesh: Mesh) -> NDArray[np.float64]:

@@ -105,13 +105,13 @@ static void add_to_planes(const Body body, const Sizes sizes, const Room room, c
                 sum += bright[k];
                 sunlit += direct[k];
             }
-            to[group * pixels] += sum;
+            to[PAINT_OF(group) * pixels] += sum;
             if (sunlit == 0.0f) continue;  // away from the Sun, or in shadow: no gloss
             for (int g = 0; g < sizes.n_gloss; ++g) {
                 __global const float *gloss = room.gloss + g * body.padded;
                 float shine = 0.0f;
                 for (int j = first; j < k; ++j) shine += direct[j] == 0.0f ? 0.0f : reach[j] * gloss[number[j]];
-                to[(group + sizes.n_groups * (1 + g) + EVEN_PLANES) * pixels] += shine;
+                to[LOBE(sizes, g, SHINE_OF(group)) * pixels] += shine;
             }
         }
 }
@@ -175,14 +175,14 @@ static void draw_pose(const Body body, const Sizes sizes, const Cut cut, const R
     __global const float *boxes, const int parts, const int padded, const int bits, const float radius
 #define SIZES_GIVEN \
     const int side, const int supersample, const int stride, const int shadow, const int shadow_side, \
-    const int shadow_stride, const int n_groups, const int n_gloss, const float lens, const float middle_x, \
-    const float middle_y, const float around_x, const float around_y, const float around_z, const float around
+    const int shadow_stride, const int n_groups, const int n_shiny, const int n_gloss, const float lens, \
+    const float middle_x, const float middle_y, const float around_x, const float around_y, const float around_z, const float around
 #define BODY {corners, start, group, shut, boxes, parts, padded, bits, radius}
 #define SIZES \
-    {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_gloss, lens, \
-        middle_x, middle_y, {around_x, around_y, around_z, around}}
+    {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_shiny, n_gloss, \
+        lens, middle_x, middle_y, {around_x, around_y, around_z, around}}
 
-// out (N, groups + EVEN_PLANES + groups * gloss, rows, columns)
+// out (N, groups + EVEN_PLANES + shiny * gloss, rows, columns)
 __kernel void planes(
     __global const float *transforms, __global const float *suns, const int poses, BODY_GIVEN, SIZES_GIVEN,
     __global const float *exponents, __global float *out, __global float *memory, const int each,
@@ -192,7 +192,7 @@ __kernel void planes(
     const Sizes sizes = SIZES;
     const Cut cut = {top, left, rows, columns};
     const Room room = room_in(memory + get_global_id(0) * (size_t)each, body, sizes);
-    const size_t size = (size_t)(n_groups * (1 + n_gloss) + EVEN_PLANES) * rows * columns;
+    const size_t size = (size_t)LOBE(sizes, n_gloss, 0) * rows * columns;
     for (int pose = atomic_inc(next); pose < poses; pose = atomic_inc(next))
         draw_pose(body, sizes, cut, room, transforms + (size_t)pose * parts * 12, vload3(pose, suns), exponents, 0, 0,
             out + pose * size);

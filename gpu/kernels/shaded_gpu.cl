@@ -125,7 +125,7 @@ static void give_pixel(const Body body, const Sizes sizes, const Group g, const 
             if (shown.x == 0.0f && n.w == 0.0f) continue;
             const int own = as_int(shown.w);
             if (own != group && sum != 0.0f) {
-                to[group * pixels] += sum;
+                to[PAINT_OF(group) * pixels] += sum;
                 sum = 0.0f;
             }
             group = own;
@@ -136,10 +136,10 @@ static void give_pixel(const Body body, const Sizes sizes, const Group g, const 
             sum += lit * shown.x;
             for (int k = 0; k < sizes.n_gloss; ++k) {
                 const float shine = lit * g.records.gloss[k * body.padded + face];
-                if (shine != 0.0f) to[(own + sizes.n_groups * (1 + k) + EVEN_PLANES) * pixels] += shine;
+                if (shine != 0.0f) to[LOBE(sizes, k, SHINE_OF(own)) * pixels] += shine;
             }
         }
-    if (sum != 0.0f) to[group * pixels] += sum;
+    if (sum != 0.0f) to[PAINT_OF(group) * pixels] += sum;
     to += sizes.n_groups * pixels;
     to[0] = covered;
     to[pixels] = normal.x;
@@ -178,7 +178,7 @@ static void draw_pose_together(const Body body, const Sizes sizes, Group g, cons
     volatile __local int *ends, __global float *out, __global uchar *marks)
 {
     const int step = sizes.supersample, side = sizes.side;
-    const int planes = g.records.share ? pictures : sizes.n_groups * (1 + sizes.n_gloss) + EVEN_PLANES;
+    const int planes = g.records.share ? pictures : LOBE(sizes, sizes.n_gloss, 0);
     if (!marks)
         for (int k = get_local_id(0); k < planes * side * side; k += GROUP) out[k] = 0.0f;
     Range near, lit;
@@ -204,7 +204,8 @@ static void draw_pose_together(const Body body, const Sizes sizes, Group g, cons
 
 #define BODY {corners, start, group, shut, boxes, parts, padded, bits, radius}
 #define SIZES \
-    {side, side * supersample, 0, supersample, shadow, shadow_side, 0, n_groups, n_gloss, lens, middle_x, middle_y, \
+    {side, side * supersample, 0, supersample, shadow, shadow_side, 0, n_groups, n_shiny, n_gloss, lens, \
+        middle_x, middle_y, \
         {around_x, around_y, around_z, around}}
 // A barrier comes before an item asks for the next pose: in every pose there is one.
 #define NEXT_POSE(pose) \
@@ -213,14 +214,14 @@ static void draw_pose_together(const Body body, const Sizes sizes, Group g, cons
     pose = taken;
 
 // out (N, pictures, side, side); share: `every` numbers from one pose's weights to the next's, 0 if all are drawn
-// alike. With no `pictures` out is (N, groups + EVEN_PLANES + groups * gloss, side, side). With `marks` (padded), zeros
+// alike. With no `pictures` out is (N, groups + EVEN_PLANES + shiny * gloss, side, side). With `marks` (padded), zeros
 // before, the faces that are nearest to some sample in some pose are marked, and that is all.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void draw(
     __global const float *transforms, __global const float *suns, const int poses,
     __global const float *corners, __global const int *start, __global const int *group, __global const float *shut,
     __global const float *boxes, const int parts, const int padded, const int bits, const float radius,
     const int side, const int supersample, const int shadow, const int shadow_side, const int n_groups,
-    const int n_gloss, const float lens, const float middle_x, const float middle_y, const float around_x,
+    const int n_shiny, const int n_gloss, const float lens, const float middle_x, const float middle_y, const float around_x,
     const float around_y, const float around_z, const float around,
     __global const float *exponents, __global float *out, __global float *memory, const int each,
     volatile __global int *next, __global const float *share, const int every, const int pictures,
@@ -232,7 +233,7 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void draw(
     const Round round = {numbers, begin, place, shape, number, &filled, samples};
     const Body body = BODY;
     const Sizes sizes = SIZES;
-    const size_t size = (size_t)(pictures > 0 ? pictures : n_groups * (1 + n_gloss) + EVEN_PLANES) * side * side;
+    const size_t size = (size_t)(pictures > 0 ? pictures : LOBE(sizes, n_gloss, 0)) * side * side;
     Group g;
     memory += get_group_id(0) * (size_t)each;
     g.round = round;

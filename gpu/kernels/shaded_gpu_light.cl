@@ -27,20 +27,20 @@ static void light_face(const Body body, const Sizes sizes, const Records to, con
 {
     const float3 n = normal_of(sizes, x, y, z);
     const float cosine = n.x * light.towards.x + n.y * light.towards.y + n.z * light.towards.z;
-    const int group = body.group[face];
+    const int group = body.group[face], paint = PAINT_OF(group);
     float shown = cosine > 0.0f ? cosine : 0.0f;
     float3 rest = n;
     const float around = most_of(dot(sizes.around.xyz, n) + sizes.around.w, 0.0f);
     if (to.share) {
         __global const float *even = to.share + sizes.n_groups;
-        shown *= to.share[group];
-        rest.x = even[0] + even[1] * n.x + even[2] * n.y + even[3] * n.z + to.share[group] * around;
+        shown *= to.share[paint];
+        rest.x = even[0] + even[1] * n.x + even[2] * n.y + even[3] * n.z + to.share[paint] * around;
     }
     const float towards = n.x * light.half_way.x + n.y * light.half_way.y + n.z * light.half_way.z;
     for (int k = 0; k < sizes.n_gloss; ++k) {
         const float power = to.exponents[k] * log2(towards > 0.0f ? towards : 0.0f);
         const float lobe = cosine > 0.0f && power > DIMMEST ? exp2(power) : 0.0f;
-        if (to.share) shown += to.share[sizes.n_groups * (1 + k) + EVEN_PLANES + group] * lobe;
+        if (to.share) shown += to.share[LOBE(sizes, k, SHINE_OF(group))] * lobe;
         else to.gloss[k * body.padded + face] = lobe;
     }
     float aside = 0.0f, down = 0.0f;

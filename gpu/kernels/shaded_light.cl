@@ -10,10 +10,17 @@
 typedef struct {
     int side, fine, stride;         // pixels, samples along one, and in memory
     int supersample, shadow, shadow_side, shadow_stride;
-    int n_groups, n_gloss;
+    int n_groups, n_shiny, n_gloss; // groups of paint, groups of gloss, lobes that each of these has
     float lens, middle_x, middle_y; // of a pinhole camera: one over its focal length, its principal point (samples)
     float4 around;                  // light from all around on a face of normal n: around.xyz . n + around.w, or none
 } Sizes;
+
+// A face's number of its group of paint and that of its group of gloss are in one.
+#define PAINT_OF(group) ((group) & 0xffff)
+#define SHINE_OF(group) ((group) >> 16)
+
+// The plane of a group's lobe.
+#define LOBE(sizes, k, shine) ((sizes).n_groups + EVEN_PLANES + (k) * (sizes).n_shiny + (shine))
 
 typedef struct {
     __global int *keys;             // (fine, stride)
@@ -154,7 +161,7 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
     const ints group = ints_at(body.group + first);
     if (share) {
         __global const float *even = share + sizes.n_groups;
-        const floats own = gather(share, group);
+        const floats own = gather(share, PAINT_OF(group));
         sum *= own;
         put(room.even + first, even[0] + even[1] * n[0] + even[2] * n[1] + even[3] * n[2]
             + own * from_around(sizes, n[0], n[1], n[2]));
@@ -165,7 +172,7 @@ static void light_faces(const Body body, const Sizes sizes, const Room room, con
         for (int k = 0; k < sizes.n_gloss; ++k) {
             const floats power = exponents[k] * log2(shine);
             const floats lobe = facing & (power > DIMMEST) ? exp2(power) : 0.0f;
-            if (share) sum += gather(share + sizes.n_groups * (1 + k) + EVEN_PLANES, group) * lobe;
+            if (share) sum += gather(share + LOBE(sizes, k, 0), SHINE_OF(group)) * lobe;
             else put(room.gloss + k * body.padded + first, lobe);
         }
     }

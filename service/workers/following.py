@@ -18,9 +18,9 @@ from service.inference.domain import Domain
 from service.inference.filters.given import Given
 from service.inference.filters.mixture import step
 from service.inference.light import Light
-from service.inference.model.drawing import EVEN_PLANES, Lens
+from service.inference.model.drawing import FINE, Lens
 from service.inference.model.paint import unlearnt
-from service.inference.model.prior import EVEN_MEAN, GLOSS_LOBES, LightPrior, earthlight
+from service.inference.model.prior import EVEN_MEAN, LightPrior, earthlight
 from service.inference.model.search import make_bank
 from service.inference.model.stages import Body
 from service.inference.model.sun_tracking import SunTracking
@@ -150,7 +150,7 @@ class _Kept:
 
 def n_paint(body: Body) -> int:
     """Numbers that are learnt of a body's surfaces."""
-    return body.fine.n_groups * (1 + len(GLOSS_LOBES)) + EVEN_PLANES
+    return body.fine.n_planes(FINE)
 
 
 def of_body(state: FilterState | None, body: Body) -> FilterState | None:

@@ -12,7 +12,7 @@ from gpu.mesh import Mesh
 from gpu.shaded import open_shaded
 from gpu.slopes import LightSlopes, open_slopes
 from gpu.surface_facets import surface_facets
-from gpu.surface_groups import surface_groups
+from gpu.surface_groups import gloss_groups, surface_groups
 from service.inference.articulation import Articulation
 from service.inference.model.drawing import Drawing
 from service.inference.model.stages import Body
@@ -62,14 +62,15 @@ def _drawing(
     held: ExitStack,
 ) -> Drawing:
     groups = surface_groups(mesh, most=most)
-    drawn, pieces = mesh, None
+    drawn, pieces, shine = mesh, None, gloss_groups(mesh, groups)
     if most is None:
         groups, pieces = surface_facets(mesh, groups)
+        shine = shine[pieces]
     if radius_px is not None:
         drawn, groups = coarse_mesh(mesh, groups, radius_px)
-    shaded = open_shaded(drawn, groups, kind=_kind())
+    shaded = open_shaded(drawn, groups, shine, kind=_kind())
     held.callback(shaded.close)
-    return Drawing(shaded, light, articulation, int(groups.max()) + 1, mesh.radius, slopes, pieces)
+    return Drawing(shaded, light, articulation, shaded.n_groups, mesh.radius, slopes, pieces, shaded.n_shiny)
 
 
 def _kind() -> str:

@@ -17,7 +17,7 @@ from gpu.raw_part import RawPart
 from gpu.scorer import open_scorer
 from service.inference.articulation import Articulation
 from service.inference.model.derivatives import derivatives
-from service.inference.model.drawing import EVEN_PLANES, Drawing, Quality, View
+from service.inference.model.drawing import Drawing, Quality, View
 from service.inference.model.scene import Scene
 from service.inference.model.spread import PointSpread
 from service.inference.model.terms import terms_of
@@ -63,7 +63,7 @@ def _draw(drawing: Drawing) -> None:
     blur = PointSpread(1.0), 0.0
     scene = Scene(empty, 1.0, 1.0, 1.0, empty > 0, blur[0])
     groups = drawing.n_groups
-    terms = terms_of(scene, groups, groups * (1 + len(quality.gloss)) + EVEN_PLANES)
+    terms = terms_of(scene, groups, drawing.n_planes(quality))
     answers, details = drawing.light.details(planes, groups, terms, 1)
     given = drawing, view, quality, blur, *look, answers.coefficients
     slopes = derivatives(*given, difference=1.0, sun_free=False)

@@ -69,12 +69,13 @@ def test_facets_that_differ_by_nothing_are_one_surface(light):
     planes, terms = given(np.array([0, 0, 1, 1, 2, 2], np.int32), SHARP, False)
     planes[:, 5] = 0.3 * planes[:, 6]  # no group is dark
     tight = np.where(terms.facets.own > 0, np.float32(1e6), np.float32(0.0))
-    whole = terms_of(terms.scene, 3, 10)
-    common = np.where(terms.facets.own > 0, np.repeat(whole.precision[[0, 3]], GROUPS), 0.0).astype(np.float32)
+    whole = terms_of(terms.scene, 3, 3 + 4 + GROUPS)  # gloss is each group's own
+    common = np.where(terms.facets.own > 0, whole.precision[0], 0.0).astype(np.float32)
     facets = type(terms.facets)(terms.facets.piece, tight, common)
-    precision = np.concatenate([tight, terms.precision[2 * GROUPS :]])
+    precision = np.where(tight > 0, tight, terms.precision[: 2 * GROUPS])
+    precision = np.concatenate([precision, terms.precision[2 * GROUPS :]])
     alike = replace(terms, facets=facets, precision=precision)
-    albedos, glosses = (some.reshape(3, 3, 2, 48, 48).sum(2) for some in (planes[:, :6], planes[:, 10:]))
-    joined = np.concatenate([albedos, planes[:, 6:10], glosses], axis=1)
+    albedos = planes[:, :6].reshape(3, 3, 2, 48, 48).sum(2)
+    joined = np.concatenate([albedos, planes[:, 6:]], axis=1)
     found, one = light.evidence(planes, GROUPS, alike, ROUNDS), light.evidence(joined, 3, whole, ROUNDS)
     assert found.log_evidence == pytest.approx(one.log_evidence, abs=0.1)

@@ -25,7 +25,7 @@ def lit_box(
     x, y = pose.position[0]
     view = View((float(x) - reach, float(y) - reach), 2 * reach / _SIDE, _SIDE, lens)
     groups = drawing.n_groups
-    n_planes = EVEN_PLANES + groups * (1 + len(_QUALITY.gloss))
+    n_planes = drawing.n_planes(_QUALITY)
     log_share, precision, facets = positive_priors(groups, n_planes, drawing.pieces)
     if paint is not None:
         whole = precision + paint[1]

@@ -1,8 +1,8 @@
-"""Facets of one piece are painted alike (docs/model.md, sections 1 and 3): the law of log albedos and glosses.
+"""Facets of one piece are painted alike (docs/model.md, sections 1 and 3): the law of log albedos.
 
-Of facet f of a piece, log paint is a + d_f: a is the piece's, d_f its own. Where the Sun shines on a surface that is no
-matt one, and where faces light each other, facets of one paint differ. The readable twin of
-``gpu/kernels/evidence_facets.cl``.
+Of facet f of a piece, log albedo is a + d_f: a is the piece's, d_f its own. Gloss is that of pieces. Where the Sun
+shines on a surface that is no matt one, and where faces light each other, facets of one paint differ. The readable twin
+of ``gpu/kernels/evidence_facets.cl``.
 """
 
 from __future__ import annotations
@@ -104,13 +104,11 @@ class Facets:
 
 def facets_of(pieces: NDArray[np.int32] | None, counts: tuple[int, int]) -> Facets:
     """Of so many planes of albedo and of gloss; ``pieces``: of each surface group its piece's number, None: its own."""
-    groups, planes = counts[0], sum(counts)
-    if pieces is None or planes % groups:
+    planes = sum(counts)
+    if pieces is None:
         return Facets(np.arange(planes, dtype=np.int32), *np.zeros((2, planes), np.float32))
-    lobes = planes // groups
-    piece = np.concatenate([pieces + k * (int(pieces.max()) + 1) for k in range(lobes)]).astype(np.int32)
+    piece = np.concatenate([pieces, int(pieces.max()) + 1 + np.arange(counts[1])]).astype(np.int32)
     several = np.bincount(piece)[piece] > 1
-    whole = np.repeat([prior.ALBEDO_SIGMA, prior.GLOSS_LOG_SIGMA], counts)
     own = np.where(several, prior.FACET_SIGMA**-2, 0.0).astype(np.float32)
-    common = np.where(several, 1 / (whole**2 - prior.FACET_SIGMA**2), 0.0).astype(np.float32)
+    common = np.where(several, 1 / (prior.ALBEDO_SIGMA**2 - prior.FACET_SIGMA**2), 0.0).astype(np.float32)
     return Facets(piece, own, common)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 ALBEDO_SIGMA = 0.9  # of log albedo about the frame's gain
-FACET_SIGMA = 0.15  # of log albedo and gloss of a facet about its piece's: of 0, 0.15 and 0.3 what is likeliest at the
+FACET_SIGMA = 0.15  # of log albedo of a facet about its piece's: of 0, 0.15 and 0.3 what is likeliest at the
 # truth of 52 frames of 26 path-traced passes
 EVEN_MEAN, EVEN_SIGMA = 0.04, 0.04  # even light, share of the gain
 EVEN_TILT_SIGMA = 0.02  # by each part of the normal, share of the frame's brighter light: half of the Earth's 2 to 12 %
 # goes with the normal, and the brighter light is of paint brighter than most
-GLOSS_SHARE, GLOSS_LOG_SIGMA = 0.15, 1.3  # of a group's gloss, share of the gain
+GLOSS_SHARE, GLOSS_LOG_SIGMA = 0.15, 1.3  # of a piece's gloss, share of the gain
 GLOSS_LOBES = (20.0,)  # exponent of (n . h): brushed metal
 EARTH_UNSURE = 0.5  # of the Earth's light, where it is told: clouds halve or double it
 HIDDEN_MEAN, HIDDEN_SIGMA = 0.3, 0.4  # share of the sky's light that the body hides

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from service.inference.model.drawing import EVEN_PLANES, FINE, Cut, Drawing, Quality, View
+from service.inference.model.drawing import FINE, Cut, Drawing, Quality, View
 from service.inference.model.likelihood import ROUNDS, Fit
 from service.inference.model.paint import painted
 from service.inference.model.scene import Images, Scene
@@ -57,7 +57,7 @@ class Hill:
 
     @property
     def _n_planes(self) -> int:
-        return self.drawing.n_groups * (1 + len(self.quality.gloss)) + EVEN_PLANES
+        return self.drawing.n_planes(self.quality)
 
     def _under(self, scene: Scene) -> Terms:
         return terms_of(scene, self.drawing.n_groups, self._n_planes, self.drawing.pieces)
