@@ -230,7 +230,7 @@ def _room(unknowns: int, n_planes: int, side: int, length: int) -> int:
     """Numbers of one work-item, as ``room_in`` deals them out."""
     slots, width, pixels = unknowns - 1, -(-unknowns // EIGHT) * EIGHT, side * side
     vectors = (
-        6 * _lanes(2 * width)
+        7 * _lanes(2 * width)
         + 3 * _lanes(unknowns)
         + _lanes(4 * slots)
         + _lanes(slots + 3)

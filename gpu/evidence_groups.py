@@ -61,7 +61,7 @@ class Asked:
     def room(self, n_stars: int) -> int:
         """Numbers of one pose, as ``room_in`` deals them out."""
         pixels, positives = self.side**2, self.n_planes - EVEN_PLANES
-        vectors = (*(6 * [2 * self.unknowns]), self.unknowns, n_stars, *(3 * [positives]), _TOLD)
+        vectors = (*(7 * [2 * self.unknowns]), 4, self.unknowns, n_stars, *(3 * [positives]), _TOLD)
         pictures = ((self.unknowns - 1 - _RESIDUAL) * pixels, *(6 * [pixels]), self.n_planes * pixels)
         return sum(-(-count // 32) * 32 for count in (*vectors, STRIPS * 16 * self.blocks, *pictures))
 

@@ -18,7 +18,7 @@ typedef struct {
     __global float *between;    // (side, length)
     __global float *scale;      // (unknowns)
     __global int *plane, *kin;  // (positives) which plane each lit one is, and the first lit one of its piece
-    __global double *value, *mean, *precision, *move, *pull, *tie;  // (unknowns); tie: see evidence_facets.cl
+    __global double *value, *mean, *precision, *move, *pull, *last, *tie;  // (unknowns); last: move; tie: see evidence_facets.cl
     __global double *total;     // (slots, slots)
     __global double *normal;    // (unknowns, unknowns)
     Products products;
@@ -43,6 +43,7 @@ static Room room_in(__global float *memory, const Scene s)
     r.precision = (__global double *)take(&memory, 2 * width);
     r.move = (__global double *)take(&memory, 2 * width);
     r.pull = (__global double *)take(&memory, 2 * width);
+    r.last = (__global double *)take(&memory, 2 * width);
     r.tie = (__global double *)take(&memory, 2 * width);
     r.pictures = take(&memory, slots * s.stride);
     r.light = take(&memory, s.pixels);
@@ -267,17 +268,25 @@ static bool held_step(const Scene s, const Room r, const int lit, const int coun
     return true;
 }
 
-// One step of all unknowns, if its linear model promises as much as STILL (nats). False: not positive.
-static bool step(const Scene s, const Room r, const int lit, const int count, const int row, double *promised)
+// One step of all unknowns, if its linear model promises as much as STILL (nats). False: not positive. `promised`: by
+// the step before, then by this one; `pace`: of both.
+static bool step(const Scene s, const Room r, const int lit, const int count, const int row, double *promised,
+    double *pace)
 {
     for (int k = 0; k < count; ++k) r.pull[k] = r.move[k];
     bool firm[2];
     if (!held_step(s, r, lit, count, row, false, firm)) return false;
+    const double before = *promised;
+    double turned = 0.0;
     *promised = 0.0;
     for (int k = 0; k < count; ++k) *promised += 0.5 * r.pull[k] * r.move[k];
     if (fabs(*promised) < STILL) return true;
+    for (int k = 0; before > 0.0 && k < count; ++k) turned += 0.5 * r.pull[k] * r.last[k];
+    *pace = paced(*pace, before, turned);
     for (int k = 0; k < count; ++k) {
-        r.value[k] += k <= lit ? clamp(r.move[k], -LONGEST_STEP, LONGEST_STEP) : r.move[k];
+        const double by = *pace * r.move[k];
+        r.value[k] += k <= lit ? clamp(by, -LONGEST_STEP, LONGEST_STEP) : by;
+        r.last[k] = r.move[k];
     }
     r.value[lit + 1] = max(r.value[lit + 1], 0.0);
     r.value[lit + 2] = clamp(r.value[lit + 2], 0.0, 1.0);
@@ -556,11 +565,11 @@ __kernel void evidence(
         const int count = lit + s.unknowns - s.positives, row = (count + EIGHT - 1) & -EIGHT;
         float gained = draw_model(s, r, lit, count, body, offset, data, marks, behind, bumps, stars);
         bool sound = true, still = false;
+        double promised = 0.0, pace = 1.0;
         for (int round = 0; round < rounds && sound && !still; ++round) {
             products(r.products, s.first + lit, body, r.total);
             draw_normal(s, r, lit, count);
-            double promised = 0.0;
-            sound = step(s, r, lit, count, row, &promised);
+            sound = step(s, r, lit, count, row, &promised, &pace);
             still = fabs(promised) < STILL;
             if (!still) gained = draw_model(s, r, lit, count, body, offset, data, marks, behind, bumps, stars);
         }

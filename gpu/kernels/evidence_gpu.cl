@@ -15,24 +15,29 @@ __kernel GROUPS void move(ASKED, __global const float *offset, __global float *d
     MATRIX double *a = matrix + get_global_id(1) * (size_t)apart;
     const int going = r.told[GOING] || last, lit = r.told[LIT], count = lit + s.unknowns - s.positives;
     if (going) {
-        double promised = 0.0;
+        double promised = 0.0, turned = 0.0;
         Ends ends = {{false, false}, {0.0, 0.0}};
         const bool sound = held_step(s, r, lit, count, a, &ends, last,
             last && details ? details + s.pose * told_size(s) : 0);
         for (int k = 0; k < count; ++k) promised += 0.5 * r.pull[k] * a[cell(count, k, count)];
+        for (int k = 0; r.paces[1] > 0.0 && k < count; ++k) turned += 0.5 * r.pull[k] * r.last[k];
+        const double pace = paced(r.paces[0], r.paces[1], turned);
         const bool steps = sound && !last && !(fabs(promised) < STILL);
         TOGETHER  // before values change that others may still look at
         if (ITEM == 0) {
             r.told[GOING] = steps;
             r.told[SOUND] = sound;
             for (int k = 0; k < 2; ++k) r.told[FIRMLY + k] = ends.firm[k];
+            r.paces[0] = pace;
+            r.paces[1] = promised;
         }
         FOR_OWN(k, steps ? count : 0) {
-            const double by = a[cell(count, k, count)];
+            const double by = pace * a[cell(count, k, count)];
             double there = r.value[k] + (k <= lit ? clamp(by, -LONGEST_STEP, LONGEST_STEP) : by);
             if (k == lit + 1) there = max(there, 0.0);
             if (k == lit + 2) there = clamp(there, 0.0, 1.0);
             r.value[k] = there;
+            r.last[k] = a[cell(count, k, count)];
         }
         TOGETHER
         if (steps) draw_scales(s, r, lit, offset);

@@ -148,6 +148,8 @@ __kernel GROUPS void start(ASKED, __global const float *given_mean, __global con
         if (s.speckle) draw_widths(s, r, lit);
         r.told[LIT] = lit;
         r.told[GOING] = 1;
+        r.paces[0] = 1.0;
+        r.paces[1] = 0.0;
     }
     TOGETHER
     draw_scales(s, r, lit, offset);

@@ -6,8 +6,6 @@
 // products, move; move once more for the curvature alone, finish, tell. What one launch has written the next reads, so
 // that a pose may be shared out over as many groups as it has pixels, and few barriers are left. Dimension 1 of a
 // launch counts poses. Built with GROUP, the items of a group, and STRIPS, in how many parts products are summed.
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
-
 #define TOGETHER barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 #define ITEM ((int)get_local_id(0))
 #define FOR_OWN(k, count) for (int k = ITEM; k < (count); k += GROUP)
@@ -30,7 +28,8 @@ typedef struct {
 
 // What a pose has of its own.
 typedef struct {
-    __global double *value, *mean, *precision, *pull, *logs, *tie;  // (unknowns); tie: see evidence_facets.cl
+    __global double *value, *mean, *precision, *pull, *last, *logs, *tie;  // (unknowns); tie: see evidence_facets.cl
+    __global double *paces;    // (2) of the last step, and what it promised
     __global float *scale;     // (unknowns)
     __global float *gained;    // (stars) nats
     __global float *partial;   // (STRIPS, blocks, 16) of the products
@@ -109,8 +108,10 @@ static Room room_in(__global float *memory, const Scene s)
     r.mean = (__global double *)take(&memory, 2 * s.unknowns);
     r.precision = (__global double *)take(&memory, 2 * s.unknowns);
     r.pull = (__global double *)take(&memory, 2 * s.unknowns);
+    r.last = (__global double *)take(&memory, 2 * s.unknowns);
     r.logs = (__global double *)take(&memory, 2 * s.unknowns);
     r.tie = (__global double *)take(&memory, 2 * s.unknowns);
+    r.paces = (__global double *)take(&memory, 4);
     r.scale = take(&memory, s.unknowns);
     r.gained = take(&memory, s.stars);
     r.partial = take(&memory, STRIPS * 16 * blocks_of(slots));

@@ -25,6 +25,7 @@ ROUNDS = 6  # numerical: of reweighting: the evidence moves by less than 0.1 nat
 STILL = 1e-2  # numerical: nats: a step that promises less is not worth another look, and is not taken
 LEAST_LIT = 1e-4  # numerical: of the Sun full on: a plane that shows less is left out
 _LONGEST_STEP = 1.5  # numerical: of a log albedo in one round
+_PACES = (0.4, 2.0)  # numerical: least and greatest share of a step that is taken
 _MOST = (np.inf, 1.0)  # prior: of even light, and of the sky that is hidden
 _FIRM = 1e8  # numerical: times the curvature of an unknown that is to go nowhere else
 
@@ -122,6 +123,18 @@ def _expected(terms: Terms, lit: NDArray[np.intp], value: Array) -> Array:
     return np.asarray(mean + covariance[:, lit] @ np.linalg.solve(covariance[np.ix_(lit, lit)], value - mean[lit]))
 
 
+def _paced(pace: float, promised: float, last: Array, pull: Array) -> float:
+    """How far the next step goes.
+
+    Weights that follow the model overshoot along some unknowns, where steps turn back, and creep along others: as far
+    as the last two say together (Aitken's).
+    """
+    if promised <= 0:
+        return pace
+    turned = 0.5 * float(pull @ last) / promised
+    return float(np.clip(pace / max(1 - turned, 0.5 * _PACES[0]), *_PACES))
+
+
 class _Unknowns:
     """The unknowns of one pose in the order of ``Terms``, positives that show no light left out."""
 
@@ -135,6 +148,7 @@ class _Unknowns:
         self._n = len(lit)
         self.value = self._mean.copy()
         self.gained = 0.0  # nats that stars explain
+        self._pace, self._last = 1.0, (0.0, np.zeros(len(kept)))  # of the last step; what it promised, and it
         if terms.start is None:
             self._start_gain()
         else:
@@ -194,13 +208,16 @@ class _Unknowns:
         columns, _, _, residual, _, weight = self._look()
         normal, pull = self._system(columns, residual, weight)
         move = np.linalg.solve(*self._firm(normal + self._prior, pull))
-        promised = abs(0.5 * float(pull @ move))
-        if promised >= STILL:
-            move[: self._n + 1] = np.clip(move[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)
-            self.value = self.value + move
+        promised = 0.5 * float(pull @ move)
+        if abs(promised) >= STILL:
+            self._pace = _paced(self._pace, *self._last, pull)
+            self._last = promised, move
+            moved = self._pace * move
+            moved[: self._n + 1] = np.clip(moved[: self._n + 1], -_LONGEST_STEP, _LONGEST_STEP)
+            self.value = self.value + moved
             shares = slice(self._n + 1, self._n + 3)
             self.value[shares] = np.clip(self.value[shares], 0.0, _MOST)
-        return promised
+        return abs(promised)
 
     def _system(self, columns: Images, residual: Images, weight: Images) -> tuple[Array, Array]:
         """J' W J, and the slope of the log posterior."""

@@ -78,7 +78,7 @@ def test_the_model_looks_like_the_frame(pictures, blur):
 @pytest.mark.parametrize("sun", [lit_body.SUN, None])
 def test_the_right_pose_leaves_least(pictures, sun):
     pose = lit_body.pose()
-    turned = replace(pose, quaternion=multiply(exp_so3(np.array([[0.0, 0.0, 0.5]])), pose.quaternion))
+    turned = replace(pose, quaternion=multiply(exp_so3(np.array([[0.0, 0.0, 0.6]])), pose.quaternion))
     image = frame(pose)
     right, wrong = (left_over(pictures, image, job(one, sun)) for one in (pose, turned))
     assert wrong > 1.9 * right  # of which nothing is left but noise

@@ -108,7 +108,7 @@ def test_a_track_is_shaken_though_the_templates_missed_it(monkeypatch):
     assert off_deg(shaken_poses[0], at) < 2.0
 
 
-@pytest.mark.parametrize(("axis", "away"), [(0, 0.5), (1, 0.8), (2, 0.6)])
+@pytest.mark.parametrize(("axis", "away"), [(0, 0.5), (1, 0.8), (2, 0.7)])
 def test_about_a_track_that_is_doubted_the_truth_is_met_though_the_templates_missed_it(axis, away):
     at = truth(4, False)
     few = Bank(bank(False).suns[:9], bank(False).poses[:9], bank(False).pictures[:, :9])
