@@ -111,7 +111,7 @@ def test_evidence_is_the_twins(light, name, rounds):
 
 @pytest.mark.parametrize("name", ["coarse, wings", "speckle"])
 def test_light_settles_under_poses_that_explain_little(light, name):
-    """With steps of one length two thirds are settled after eighteen rounds: weights and light go to and fro."""
+    """With steps of one length two thirds are settled after eighteen rounds: weights and light swing."""
     side, groups, glossy, point_spread, shifts = CASES[name]
     settled = []
     for seed in range(4):

@@ -148,7 +148,8 @@ class _Unknowns:
         self._n = len(lit)
         self.value = self._mean.copy()
         self.gained = 0.0  # nats that stars explain
-        self._pace, self._last = 1.0, (0.0, np.zeros(len(kept)))  # of the last step; what it promised, and it
+        self._pace = 1.0
+        self._last: tuple[float, Array] = 0.0, np.zeros(len(kept))  # what the last step promised, and it
         if terms.start is None:
             self._start_gain()
         else:
