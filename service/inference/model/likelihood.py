@@ -208,7 +208,7 @@ class _Unknowns:
         """One round: weights from the residual, then a Gauss-Newton step, unless it promises too little; nats."""
         columns, _, _, residual, _, weight = self._look()
         normal, pull = self._system(columns, residual, weight)
-        move = np.linalg.solve(*self._firm(normal + self._prior, pull))
+        move = np.asarray(np.linalg.solve(*self._firm(normal + self._prior, pull)), np.float64)
         promised = 0.5 * float(pull @ move)
         if abs(promised) >= STILL:
             self._pace = _paced(self._pace, *self._last, pull)
