@@ -43,7 +43,7 @@ class ShadedBody:
     ) -> None:
         self.name = f"opencl:shaded:{report.name}"
         self.n_groups, self.n_shiny = len(gloss_groups), int(gloss_groups.max(initial=0)) + 1
-        groups = groups.astype(np.int32) | gloss_groups[groups].astype(np.int32) << 16
+        groups = groups.astype(np.int32) | gloss_groups[groups].astype(np.int32) << 16  # as kernels take them apart
         self._n_parts = len(mesh.parts)
         self._radius = np.float32(mesh.radius)
         with device_errors(self.name):
@@ -80,6 +80,10 @@ class ShadedBody:
         seen[self._table.origin[marks > 0]] = True
         return seen
 
+    def n_planes(self, gloss: tuple[float, ...] = ()) -> int:
+        """G + 4 + L H: of G groups, coverage and normals, and of H groups of gloss for each of so many lobes."""
+        return self.n_groups + EVEN_PLANES + self.n_shiny * len(gloss)
+
     def planes(
         self,
         part_transforms: NDArray[np.floating],
@@ -92,7 +96,7 @@ class ShadedBody:
         lens: Lens = NO_LENS,
         around: Around = DARK,
     ) -> Numbers:
-        """(N, G + 4 + L H, side, side): each group in the Sun's light, coverage, normals, then each lobe of H of gloss.
+        """(N, G + 4 + L H, side, side): each group in the Sun's light, coverage, normals, then each lobe of each gloss.
 
         A group's plane is the mean over a pixel's samples of n . s where the group is seen and the Sun reaches it;
         a lobe's that of (n . h)^k, h half-way between the Sun and the camera. Normals (3): the mean of n, whatever is
@@ -184,16 +188,16 @@ class ShadedBody:
         return moved, suns.astype(np.float32)
 
     def _planes(self, part_transforms: NDArray[np.floating], towards_sun: NDArray[np.floating], sizes: Sizes) -> Cut:
-        given = self._given(part_transforms, towards_sun)
+        given, count = self._given(part_transforms, towards_sun), self.n_planes(sizes.gloss)
         seen = len(given[0]) and sizes.lens == NO_LENS
         return self._draw(
-            given, sizes, window_around(given[0], self._table.boxes, sizes.side) if seen else None, None, sizes.n_planes
+            given, sizes, window_around(given[0], self._table.boxes, sizes.side) if seen else None, None, count
         )
 
     def _sum(
         self, given: tuple[Numbers, Numbers], coefficients: NDArray[np.floating], pictures: int, sizes: Sizes
     ) -> Numbers:
-        count, n = sizes.n_planes, len(given[0])
+        count, n = self.n_planes(sizes.gloss), len(given[0])
         if coefficients.shape not in ((count,), (n, count)):
             raise ValueError(f"coefficients are {coefficients.shape}, not ({count},) or ({n}, {count})")
         return self._draw(given, sizes, None, np.ascontiguousarray(coefficients, np.float32), pictures).values

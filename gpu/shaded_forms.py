@@ -64,11 +64,6 @@ class Sizes:
     around: Around = DARK
 
     @property
-    def n_planes(self) -> int:
-        """Pictures of one pose."""
-        return self.n_groups + EVEN_PLANES + self.n_shiny * len(self.gloss)
-
-    @property
     def shadow_side(self) -> int:
         """Texels along a side of the Sun's view, with a border."""
         return self.shadow_px + 4 if self.shadow_px else 0

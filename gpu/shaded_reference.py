@@ -50,7 +50,7 @@ def reference_planes(
     drawing: Drawing,
     gloss_groups: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """(N, G + 4 + L H, side, side): each group in the Sun's light, coverage, normals (3), each lobe of H of gloss."""
+    """(N, G + 4 + L H, side, side): each group in the Sun's light, coverage, normals (3), each lobe of each gloss."""
     suns = np.broadcast_to(np.asarray(towards_sun, np.float64), (len(part_transforms), 3))
     shine = np.arange(int(groups.max(initial=0)) + 1) if gloss_groups is None else np.asarray(gloss_groups)
     out = np.zeros((len(part_transforms), _n_planes(shine, drawing), drawing.side, drawing.side))

@@ -10,6 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 MAX_FILE_LINES = 300
+MOST_COLUMNS = 120
 MAX_FUNCTION_LINES = 60
 
 # Room -> our rooms it may import, beside itself. "everything" is for the places that wire the others together.
@@ -139,6 +140,11 @@ def test_the_documented_arrows_are_these() -> None:
     tested = {room: allowed for room, allowed in ROOMS.items() if room in documented}
     assert documented == tested
     assert set(ROOMS) - set(documented) == {"service.__main__", "service.errors", "service.settings"}
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "gpu" / "kernels").glob("*.cl")), ids=lambda p: p.name)
+def test_lines_of_kernels_are_short(path: Path) -> None:
+    assert [line for line in path.read_text().splitlines() if len(line) > MOST_COLUMNS] == []
 
 
 @pytest.mark.parametrize("path", python_files("service", "gpu", "tests"), ids=lambda p: str(p.relative_to(ROOT)))

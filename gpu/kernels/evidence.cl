@@ -18,7 +18,8 @@ typedef struct {
     __global float *between;    // (side, length)
     __global float *scale;      // (unknowns)
     __global int *plane, *kin;  // (positives) which plane each lit one is, and the first lit one of its piece
-    __global double *value, *mean, *precision, *move, *pull, *last, *tie;  // (unknowns); last: move; tie: see evidence_facets.cl
+    // (unknowns); last: the move before; tie: see evidence_facets.cl
+    __global double *value, *mean, *precision, *move, *pull, *last, *tie;
     __global double *total;     // (slots, slots)
     __global double *normal;    // (unknowns, unknowns)
     Products products;

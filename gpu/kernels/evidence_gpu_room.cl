@@ -6,6 +6,7 @@
 // products, move; move once more for the curvature alone, finish, tell. What one launch has written the next reads, so
 // that a pose may be shared out over as many groups as it has pixels, and few barriers are left. Dimension 1 of a
 // launch counts poses. Built with GROUP, the items of a group, and STRIPS, in how many parts products are summed.
+
 #define TOGETHER barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
 #define ITEM ((int)get_local_id(0))
 #define FOR_OWN(k, count) for (int k = ITEM; k < (count); k += GROUP)
@@ -28,7 +29,8 @@ typedef struct {
 
 // What a pose has of its own.
 typedef struct {
-    __global double *value, *mean, *precision, *pull, *last, *logs, *tie;  // (unknowns); tie: see evidence_facets.cl
+    // (unknowns); last: the move before; tie: see evidence_facets.cl
+    __global double *value, *mean, *precision, *pull, *last, *logs, *tie;
     __global double *paces;    // (2) of the last step, and what it promised
     __global float *scale;     // (unknowns)
     __global float *gained;    // (stars) nats

@@ -3,6 +3,7 @@
 // The sums are taken tile by tile, a lane of columns wide and so tall that the pictures in it stay in the nearest
 // cache; in a tile only pictures whose boxes reach it count, four times four of them at once. Linear algebra is in
 // double: the unknowns' curvatures span ten orders of magnitude. Rows of matrices are padded to EIGHT.
+
 #define EIGHT 8
 #define NEAR 704  // rows of a lane each that the nearest cache holds
 

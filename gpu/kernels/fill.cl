@@ -97,7 +97,8 @@ static void fill_parts(
     const int all = vertex_start[parts];
     for (int part = 0; part < parts; ++part) {
         __global const float *t = transforms + part * 12;
-        const float t0 = t[0], t1 = t[1], t2 = t[2], t3 = t[3] - 0.5f, t4 = t[4], t5 = t[5], t6 = t[6], t7 = t[7] - 0.5f;
+        const float t0 = t[0], t1 = t[1], t2 = t[2], t3 = t[3] - 0.5f;
+        const float t4 = t[4], t5 = t[5], t6 = t[6], t7 = t[7] - 0.5f;
         __global const float *v = vertices + vertex_start[part];
         const int n = vertex_start[part + 1] - vertex_start[part];
         for (int k = 0; k < n; ++k) {

@@ -83,7 +83,8 @@ __kernel void find_hidden(
         }
         for (int e = edge_start[other]; e < edge_start[other + 1] && found; ++e)
             if (possible[(size_t)cell * n_edges + e])
-                found = apart(&box, look(ends + e * 6, axis, u, v), look(ends + e * 6 + 3, axis, u, v), half_cell, slack);
+                found = apart(
+                    &box, look(ends + e * 6, axis, u, v), look(ends + e * 6 + 3, axis, u, v), half_cell, slack);
     }
     hidden[(size_t)cell * pieces + piece] = found;
 }

@@ -219,7 +219,8 @@ __kernel void score(
 #else
         __global const int *own = prefix;
 #endif
-        const bool complete = draw_outline(transforms + (size_t)n * parts * 12, parts, blocks, starts, lists, across, s);
+        const bool complete
+            = draw_outline(transforms + (size_t)n * parts * 12, parts, blocks, starts, lists, across, s);
         for (int map = 0; map < maps; ++map) score[map] = complete ? 0 : LONG_MIN;
         for (int band = 0; band < bands_of(height); ++band) {
             if (!complete) {

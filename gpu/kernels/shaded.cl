@@ -176,7 +176,8 @@ static void draw_pose(const Body body, const Sizes sizes, const Cut cut, const R
 #define SIZES_GIVEN \
     const int side, const int supersample, const int stride, const int shadow, const int shadow_side, \
     const int shadow_stride, const int n_groups, const int n_shiny, const int n_gloss, const float lens, \
-    const float middle_x, const float middle_y, const float around_x, const float around_y, const float around_z, const float around
+    const float middle_x, const float middle_y, const float around_x, const float around_y, const float around_z, \
+    const float around
 #define BODY {corners, start, group, shut, boxes, parts, padded, bits, radius}
 #define SIZES \
     {side, side * supersample, stride, supersample, shadow, shadow_side, shadow_stride, n_groups, n_shiny, n_gloss, \

@@ -205,8 +205,7 @@ static void draw_pose_together(const Body body, const Sizes sizes, Group g, cons
 #define BODY {corners, start, group, shut, boxes, parts, padded, bits, radius}
 #define SIZES \
     {side, side * supersample, 0, supersample, shadow, shadow_side, 0, n_groups, n_shiny, n_gloss, lens, \
-        middle_x, middle_y, \
-        {around_x, around_y, around_z, around}}
+        middle_x, middle_y, {around_x, around_y, around_z, around}}
 // A barrier comes before an item asks for the next pose: in every pose there is one.
 #define NEXT_POSE(pose) \
     if (get_local_id(0) == 0) taken = atomic_inc(next); \
@@ -221,8 +220,8 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void draw(
     __global const float *corners, __global const int *start, __global const int *group, __global const float *shut,
     __global const float *boxes, const int parts, const int padded, const int bits, const float radius,
     const int side, const int supersample, const int shadow, const int shadow_side, const int n_groups,
-    const int n_shiny, const int n_gloss, const float lens, const float middle_x, const float middle_y, const float around_x,
-    const float around_y, const float around_z, const float around,
+    const int n_shiny, const int n_gloss, const float lens, const float middle_x, const float middle_y,
+    const float around_x, const float around_y, const float around_z, const float around,
     __global const float *exponents, __global float *out, __global float *memory, const int each,
     volatile __global int *next, __global const float *share, const int every, const int pictures,
     __global uchar *marks)

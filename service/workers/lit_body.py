@@ -70,7 +70,7 @@ def _drawing(
         drawn, groups = coarse_mesh(mesh, groups, radius_px)
     shaded = open_shaded(drawn, groups, shine, kind=_kind())
     held.callback(shaded.close)
-    return Drawing(shaded, light, articulation, shaded.n_groups, mesh.radius, slopes, pieces, shaded.n_shiny)
+    return Drawing(shaded, light, articulation, shaded.n_groups, mesh.radius, slopes, pieces)
 
 
 def _kind() -> str:

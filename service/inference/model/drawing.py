@@ -40,6 +40,10 @@ class Cut(Protocol):
 class Shaded(Protocol):
     """``gpu.shaded.ShadedBody``."""
 
+    def n_planes(self, gloss: tuple[float, ...] = ...) -> int:
+        """Q, with so many lobes of gloss."""
+        ...
+
     def cut(
         self,
         part_transforms: NDArray[np.float32],
@@ -187,12 +191,10 @@ class Drawing:
     radius: float  # model units
     slopes: Slopes | None = None  # None: the twin
     pieces: NDArray[np.int32] | None = None  # (G,) of which piece each group is a facet; None: each is one
-    n_shiny: int | None = None  # groups of gloss; None: every group is one
 
     def n_planes(self, quality: Quality) -> int:
         """Pictures that are drawn of one pose."""
-        shiny = self.n_groups if self.n_shiny is None else self.n_shiny
-        return self.n_groups + EVEN_PLANES + shiny * len(quality.gloss)
+        return self.shaded.n_planes(quality.gloss)
 
     def transforms(self, poses: Poses, view: View) -> NDArray[np.float32]:
         """(N, P, 3, 4) to the patch's own pixels."""

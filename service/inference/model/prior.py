@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 ALBEDO_SIGMA = 0.9  # of log albedo about the frame's gain
-FACET_SIGMA = 0.15  # of log albedo of a facet about its piece's: of 0, 0.15 and 0.3 what is likeliest at the
-# truth of 52 frames of 26 path-traced passes
+FACET_SIGMA = 0.15  # of log albedo of a facet about its piece's: of 0, 0.15 and 0.3 what is likeliest at the truth of
+# 52 frames of 26 path-traced passes
 EVEN_MEAN, EVEN_SIGMA = 0.04, 0.04  # even light, share of the gain
 EVEN_TILT_SIGMA = 0.02  # by each part of the normal, share of the frame's brighter light: half of the Earth's 2 to 12 %
 # goes with the normal, and the brighter light is of paint brighter than most

@@ -53,14 +53,10 @@ class Hill:
     @property
     def bytes_drawn(self) -> int:
         """Of one pose's planes."""
-        return 4 * self._n_planes * self.view.side**2
-
-    @property
-    def _n_planes(self) -> int:
-        return self.drawing.n_planes(self.quality)
+        return 4 * self.drawing.n_planes(self.quality) * self.view.side**2
 
     def _under(self, scene: Scene) -> Terms:
-        return terms_of(scene, self.drawing.n_groups, self._n_planes, self.drawing.pieces)
+        return terms_of(scene, self.drawing.n_groups, self.drawing.n_planes(self.quality), self.drawing.pieces)
 
     def log_evidences(self, planes: Images | Cut, terms: Terms | None = None) -> Array:
         """(N,) of drawn poses (N, Q, S, S); ``terms``: other than the hill's own."""

@@ -49,7 +49,7 @@ def test_a_body_opens_from_roughly_to_finely_and_closes(monkeypatch):
         totals = []
         for one in drawings:
             planes = one.planes(pose(), SUN, View((100.0, 60.0), 1.0, 64), Quality(3, 128))
-            assert planes.shape[1] == one.n_planes(Quality(3, 128))
+            assert planes.shape[1] == one.n_planes(Quality(3, 128)) == one.n_groups + 4 + 3  # of three pieces
             totals.append(float(planes[:, : one.n_groups].sum()))
         assert totals == pytest.approx([totals[-1]] * 3, rel=0.05)
     finally:
