@@ -6,6 +6,7 @@ Knows pictures and noise, not what they mean: see docs/model.md, section 3. The 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from gpu.cut import Cut, cut_of
 from gpu.device import DeviceReport, first_device, open_device
 from gpu.evidence_groups import Asked, EvidenceGroups
-from gpu.evidence_terms import LANES, HostInputs, Terms, inputs_of
+from gpu.evidence_terms import LANES, HostInputs, PatchInputs, Terms, inputs_of, patch_of
 from gpu.program import (
     Kernel,
     KernelArgument,
@@ -37,6 +38,7 @@ Window = tuple[slice, slice]  # rows and columns of a patch
 FILES = ("lanes.cl", *(f"evidence{part}.cl" for part in ("_shared", "_facets", "_pictures", "_normal", "")))
 EIGHT, NEAR, ODD = 8, 704, 5  # as the kernel has them
 HERMITE, BUMPS = 12, 9
+_PATCHES = 4  # numerical: that are kept: a frame's own, with its stars and without, finely and followed
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,8 @@ class LightEvidence:
         self.name = f"opencl:evidence:{report.name}"
         self.kernel_seconds = 0.0  # that the device says it took for the last call; 0 where it is not asked
         self._groups: EvidenceGroups | None = None
+        # Patches that were looked at last, and what of them the device was lent.
+        self._patches: deque[tuple[PatchInputs, dict[int, cl.Buffer]]] = deque(maxlen=_PATCHES)
         with device_errors(self.name):
             context = cl.Context([open_device(report)])
             if report.kind != "cpu" if together is None else together:
@@ -128,6 +132,7 @@ class LightEvidence:
             self._groups.close()
             return
         self._queue.finish()
+        self._patches.clear()
         self._memory.close()
 
     @staticmethod
@@ -151,26 +156,42 @@ class LightEvidence:
         if side % LANES:
             raise ValueError(f"a side of {side} pixels is no multiple of {LANES}")
         unknowns = self._unknowns(n_planes, terms)
-        host = inputs_of(several, numbers)
+        patch, held = self._patch(terms)
+        host = inputs_of(several, numbers, patch)
         shapes = [(n, count) for count in (4, n_planes, unknowns, *details)]
         asked = Asked(n_groups, n_planes, side, unknowns, terms.speckle, terms.shifts, rounds)
         with device_errors(self.name):
             if n and self._groups is None:
-                return self._by_items(cut, host, asked, shapes)
+                return self._by_items(cut, host, held, asked, shapes)
             told = [np.empty(shape, np.float32) for shape in shapes]
             if n and self._groups is not None:
-                held = np.ascontiguousarray(cut.whole(), np.float32)
-                self.kernel_seconds = self._groups.weigh(held, host, asked, told[:3], told[3] if details else None)
+                whole = np.ascontiguousarray(cut.whole(), np.float32)
+                self.kernel_seconds = self._groups.weigh(whole, host, asked, told[:3], told[3] if details else None)
         return told
 
-    def _by_items(self, cut: Cut, host: HostInputs, asked: Asked, shapes: Sequence[tuple[int, int]]) -> list[Numbers]:
-        """What is told, of these shapes: a work-item takes pose after pose."""
+    def _patch(self, terms: Terms) -> tuple[PatchInputs, dict[int, cl.Buffer]]:
+        """What is told of a patch, and of its arrays what the device was lent."""
+        for patch, held in self._patches:
+            if patch.is_of(terms):
+                return patch, held
+        self._patches.append((patch_of(terms), {}))
+        return self._patches[-1]
+
+    def _by_items(
+        self, cut: Cut, host: HostInputs, held: dict[int, cl.Buffer], asked: Asked, shapes: Sequence[tuple[int, int]]
+    ) -> list[Numbers]:
+        """What is told, of these shapes: a work-item takes pose after pose. ``held``: what was lent of the patch."""
         n, length = shapes[0][0], asked.side + 2 * _lanes(host.radius)
         each = _room(asked.unknowns, asked.n_planes, asked.side, length)
         items = work_items(self._queue.device, n, 4 * each)
         given, window = lent(self._context, np.ascontiguousarray(cut.values, np.float32)), cut.window
-        arrays = [np.ascontiguousarray(one) for one in host.arrays]
-        inputs: list[KernelArgument] = [(lent if one.size else constant)(self._context, one) for one in arrays]
+        patch = host.patch
+        for one in () if held else (patch.data, patch.marks, patch.sky, patch.bumps, patch.boxes):
+            held[id(one)] = lent(self._context, one)
+        arrays = [one if id(one) in held else np.ascontiguousarray(one) for one in host.arrays]
+        inputs: list[KernelArgument] = [
+            held[id(one)] if id(one) in held else (lent if one.size else constant)(self._context, one) for one in arrays
+        ]
         inputs.insert(3, np.int32(host.every))
         inputs.insert(5, np.int32(host.started))
         sizes = (asked.n_groups, asked.side, asked.n_planes, asked.speckle, asked.shifts, asked.rounds)

@@ -154,6 +154,23 @@ class Terms(Protocol):
 
 
 @dataclass(frozen=True)
+class PatchInputs:
+    """What all poses on a patch have in common, and of which of its terms' arrays it is made."""
+
+    of: tuple[NDArray[np.generic], ...]
+    data: Numbers
+    marks: NDArray[np.uint8]
+    sky: Numbers  # slopes, and the sky behind
+    bumps: Numbers
+    boxes: NDArray[np.int32]  # of stars
+    n_stars: int
+
+    def is_of(self, terms: Terms) -> bool:
+        """Whether these are the very arrays of such terms."""
+        return all(mine is its for mine, its in zip(self.of, _of_patch(terms), strict=True))
+
+
+@dataclass(frozen=True)
 class HostInputs:
     """Of N poses, in the order in which the kernel takes them."""
 
@@ -166,29 +183,42 @@ class HostInputs:
     scalars: tuple[float, ...]
     spreads: NDArray[np.int32]  # (N, 4)
     own: Numbers  # (N, 4)
+    patch: PatchInputs
     radius: int  # of the widest spread, px
 
 
-def inputs_of(several: Sequence[Terms], numbers: Sequence[int]) -> HostInputs:
-    """``several``: the terms of all poses, or of each its own; ``numbers`` (N,): which of the drawn ones they are."""
+def patch_of(terms: Terms) -> PatchInputs:
+    """Of such terms."""
+    boxes = boxes_of(terms.stars)
+    sky = np.concatenate([terms.slopes, terms.behind[None]])
+    marks, some = terms.full.astype(np.uint8) | terms.stars << 1, boxes if len(boxes) else np.zeros((1, 5), np.int32)
+    data, bumps = np.ascontiguousarray(terms.data), np.ascontiguousarray(terms.bumps)
+    return PatchInputs(_of_patch(terms), data, np.ascontiguousarray(marks), sky, bumps, some, len(boxes))
+
+
+def _of_patch(terms: Terms) -> tuple[NDArray[np.generic], ...]:
+    return terms.data, terms.full, terms.stars, terms.slopes, terms.behind, terms.bumps
+
+
+def inputs_of(several: Sequence[Terms], numbers: Sequence[int], patch: PatchInputs) -> HostInputs:
+    """``several``: the terms of all poses, or of each its own; ``numbers`` (N,): which of the drawn ones they are;
+    ``patch``: the one that they share.
+    """
     terms, mean, precision = several[0], several[0].mean, several[0].precision
     if len(several) > 1:
         mean, precision = (np.stack([np.atleast_2d(getattr(one, k))[0] for one in several]) for k in _OWN)
     each = several if len(several) == len(numbers) else [terms] * len(numbers)
     spreads, weights, taps = spreads_of([one.gaussians for one in each] or [terms.gaussians], numbers)
     radii = np.array([len(t) // 2 for t in taps], np.int32)
-    marks = terms.full.astype(np.uint8) | terms.stars << 1
     starts = [one.start for one in several if one.start is not None]
     start = np.concatenate([np.atleast_2d(one) for one in starts]) if starts else np.zeros((1, 1), np.float32)
-    sky = np.concatenate([terms.slopes, terms.behind[None]])
     pieces, ties = np.asarray(terms.facets.piece, np.int32), np.stack([terms.facets.own, terms.facets.common])
-    arrays = (terms.offset, mean, precision, start, pieces, ties, terms.data, marks, sky, terms.bumps)
-    boxes = boxes_of(terms.stars)
+    arrays = (terms.offset, mean, precision, start, pieces, ties, patch.data, patch.marks, patch.sky, patch.bumps)
     scalars = (terms.noise, terms.area, terms.edge**2, terms.gain, terms.star)
     own = np.array([(one.wrong, one.width, one.photon, one.hidden) for one in each], np.float32)
-    whole = (*arrays, weights, radii, np.concatenate(taps), boxes if len(boxes) else np.zeros((1, 5), np.int32))
+    whole = (*arrays, weights, radii, np.concatenate(taps), patch.boxes)
     every = mean.shape[1] if mean.ndim == 2 else 0
-    return HostInputs(whole, every, bool(starts), len(boxes), scalars, spreads, own, int(radii.max()))
+    return HostInputs(whole, every, bool(starts), patch.n_stars, scalars, spreads, own, patch, int(radii.max()))
 
 
 def boxes_of(stars: NDArray[np.uint8]) -> NDArray[np.int32]:

@@ -197,18 +197,33 @@ static float draw_model(const Scene s, const Room r, const int lit, const int co
     return weigh_stars(s, r, marks, stars);
 }
 
+// Of a row of unknowns those from `first` to `end`: sums of products, each times both scales.
+static void draw_scaled(const double scale, __global const float *scales, __global const double *total,
+    const int first, const int end, __global double *row)
+{
+    int j = first;
+    for (; j + EIGHT <= end; j += EIGHT)
+        vstore8(scale * convert_double8(vload8(0, scales + j)) * vload8(0, total + j - first), 0, row + j);
+    for (; j < end; ++j) row[j] = scale * (double)scales[j] * total[j - first];
+}
+
 // The upper half of J' W J + P, and J' W r - P (value - mean) into `move`, from the sums of products.
 static void draw_normal(const Scene s, const Room r, const int lit, const int count)
 {
     const int slots = s.first + lit, width = (count + EIGHT - 1) & -EIGHT;
     for (int i = 0; i < count; ++i) {
         __global double *row = r.normal + i * width;
-        for (int j = 0; j < width; ++j) row[j] = 0.0;
+        for (int j = 0; j < width; j += EIGHT) vstore8((double8)0.0, 0, row + j);
         if (i == lit) continue;
         __global const double *total = r.total + slot_of(s, lit, i) * slots;
         const double scale = (double)r.scale[i];
-        for (int j = 0; j < count; ++j)
-            if (j != lit) row[j] = scale * (double)r.scale[j] * total[slot_of(s, lit, j)];
+        // Slots of positives follow each other, as those of the sky, the tilt and the speckle do.
+        draw_scaled(scale, r.scale, total + s.first, 0, lit, row);
+        row[lit + 1] = scale * (double)r.scale[lit + 1] * total[EVEN];
+        row[lit + 2] = scale * (double)r.scale[lit + 2] * total[EVEN];
+        draw_scaled(scale, r.scale, total + SKY, lit + 3, lit + 6, row);
+        draw_scaled(scale, r.scale, total + TILT, lit + 6, lit + 9, row);
+        draw_scaled(scale, r.scale, total + SPECKLE, lit + 9, count, row);
         r.move[i] = scale * total[RESIDUAL];
     }
     // The gain's picture is the sum of those of all positives and of the even light's share.
@@ -348,7 +363,7 @@ static int draw_pictures(const Scene s, const Room r, __global const float *plan
     for (int c = 0; c < s.components; ++c) radius = max(radius, radii[c]);
     planes -= cut.top * apart + cut.left;  // so that places are those of the patch
     __global const float *covered = planes + groups * each;
-    const Box cover = box_of(covered, cut, apart, 0.0f);
+    const Box cover = box_of(covered, cut, apart, 0.0f, r.between);
     *body = cover;
     if (cover.top < cover.bottom) *body = in_units(widened(cover, radius + (s.speckle ? 4 : 1), s.side), s.side);
     for (int slot = EVEN; slot < s.first; ++slot) {
@@ -361,7 +376,7 @@ static int draw_pictures(const Scene s, const Room r, __global const float *plan
         draw_blurred(s, r, covered + k * each, cover, *body, apart, weights, radii, taps, picture_in(s, r, EVEN + k));
     for (int p = 0; p < s.positives; ++p) {
         __global const float *plane = planes + (p < groups ? p : p + EVEN_PLANES) * each;
-        const Box box = box_of(plane, cover, apart, LEAST_LIT);
+        const Box box = box_of(plane, cover, apart, LEAST_LIT, r.between);
         if (box.top >= box.bottom) continue;
         const int slot = s.first + lit;
         const Box wide = widened(box, radius, s.side);

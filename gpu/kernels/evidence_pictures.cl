@@ -41,25 +41,30 @@ static floats most_in_row(__global const float *row, const int left, const int r
     return most;
 }
 
-// Where in `within` a picture is above `least`, nowhere negative. Empty: bottom <= top.
-static Box box_of(__global const float *picture, Box box, const int side, const float least)
+// Where in `within` a picture, nowhere negative, is above zero; empty (bottom <= top) unless it is above `least`
+// somewhere. It is read once: what was drawn comes from far away. `columns` has room for a row.
+static Box box_of(__global const float *picture, const Box within, const int side, const float least,
+    __global float *columns)
 {
     floats most = 0.0f;
-    for (int row = box.top; row < box.bottom; ++row)
-        most = fmax(most, most_in_row(picture + row * side, box.left, box.right));
-    if (!(most_of(most) > least)) {
-        box.bottom = box.top;
-        return box;
-    }
-    while (most_of(most_in_row(picture + box.top * side, box.left, box.right)) == 0.0f) ++box.top;
-    while (most_of(most_in_row(picture + (box.bottom - 1) * side, box.left, box.right)) == 0.0f) --box.bottom;
-    for (int way = 0; way < 2; ++way)
-        for (; box.left < box.right; way ? (box.right -= LANES) : (box.left += LANES)) {
-            const int at = way ? box.right - LANES : box.left;
-            most = 0.0f;
-            for (int row = box.top; row < box.bottom; ++row) most = fmax(most, floats_at(picture + row * side + at));
-            if (most_of(most) > 0.0f) break;
+    Box box = {within.bottom, within.top, within.left, within.right};
+    for (int k = within.left; k < within.right; k += LANES) put(columns + k, 0.0f);
+    for (int row = within.top; row < within.bottom; ++row) {
+        floats bright = 0.0f;
+        for (int k = within.left; k < within.right; k += LANES) {
+            const floats here = floats_at(picture + row * side + k);
+            put(columns + k, fmax(floats_at(columns + k), here));
+            bright = fmax(bright, here);
         }
+        most = fmax(most, bright);
+        if (most_of(bright) > 0.0f) {
+            box.top = min(box.top, row);
+            box.bottom = row + 1;
+        }
+    }
+    if (!(most_of(most) > least)) box.bottom = box.top;
+    while (box.left < box.right && most_of(floats_at(columns + box.left)) == 0.0f) box.left += LANES;
+    while (box.left < box.right && most_of(floats_at(columns + box.right - LANES)) == 0.0f) box.right -= LANES;
     return box;
 }
 

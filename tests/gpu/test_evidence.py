@@ -258,3 +258,13 @@ def test_a_side_of_no_whole_lanes_is_refused(light):
     terms = terms_of(scene_of(rng, planes, 2, SHARP, False), 2, 6)
     with pytest.raises(ValueError, match="40"):
         light.evidence(planes[None], 2, terms, 2)
+
+
+def test_patches_that_are_kept_are_told_apart(light):
+    rng = np.random.default_rng(9)
+    planes = wedges(rng, 32, 3, 3)
+    several = [terms_of(scene_of(rng, planes, 3, SHARP, True, stars=k % 3), 3, 10) for k in range(6)]
+    several.append(replace(several[0], stars=np.zeros_like(several[0].stars), full=~several[0].full))
+    there = [float(light.evidence(planes[None], 3, one, 3).log_evidence[0]) for one in several]
+    back = [float(light.evidence(planes[None], 3, one, 3).log_evidence[0]) for one in several[::-1]]
+    assert back[::-1] == there and len(set(there)) == len(several)
